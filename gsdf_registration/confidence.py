@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+How good a pose is: its covariance, the error to expect at a target, and the motion the data hold least.
+
+All of it follows from one 6 x 6 matrix, the covariance of a small motion [rotation about m, translation] of the bone frame, m the
+centroid of the points: for a target q the motion is B_q [xi, phi] with B_q = [-(q - m)^, I].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Mapping
+
+import numpy as np
+
+from gsdf_registration import rigid
+from gsdf_registration.result import WeakestDirection
+from gsdf_registration.rigid import Array
+from gsdf_registration.solver import Solution
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """
+    What the points say about the pose.
+
+    motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone axes; None if the points do not hold it
+    centre : (3,) float, m, bone frame: the centroid of the points
+    """
+
+    motion_covariance: Array
+    centre: Array
+
+    def predicted_tre(self, targets: Array) -> Array:
+        """Return the predicted TRE (RMS, m) at each of ``targets`` (n, 3), m, bone frame; shape (n,)."""
+        # trace(B C B^T) with B = [-(q - m)^, I], written out for all targets at once
+        B = motion_at(targets - self.centre)
+        return np.asarray(np.sqrt(np.einsum('nij,jk,nik->n', B, self.motion_covariance, B)))
+
+    def pose_covariance(self, T_tracker_bone: Array) -> Array:
+        """
+        Return the (6, 6) covariance of the bone's pose in REP-103 order: x y z rx ry rz, fixed axes, m and rad.
+
+        A motion D of the bone frame turns ``T_tracker_bone`` into T D^-1, so the origin moves by R (xi x m - phi) and the
+        attitude by -R xi.
+        """
+        R = T_tracker_bone[:3, :3]
+        G = np.block([[-R @ rigid.skew(self.centre), -R], [-R, np.zeros((3, 3))]])
+        C = G @ self.motion_covariance @ G.T
+        return np.asarray(0.5 * (C + C.T))
+
+    def weakest_direction(self, surface: Array, names: Mapping[str, Array]) -> WeakestDirection:
+        """
+        Return the motion that the data hold least, as a screw.
+
+        Least held is what moves the bone's surface (n, 3) most at one standard deviation: the largest eigenvalue of C in the metric M =
+        mean B_q^T B_q, which weighs radians against metres as the bone's own size does.  ``names`` are points of the bone, m, to speak
+        of it by.
+        """
+        B = motion_at(surface - self.centre)
+        L = np.linalg.cholesky(np.einsum('nij,nik->jk', B, B) / len(B))
+        values, vectors = np.linalg.eigh(L.T @ self.motion_covariance @ L)
+        motion = np.linalg.solve(L.T, vectors[:, -1]) * np.sqrt(values[-1])
+        return _screw(motion, self.centre, surface, names)
+
+
+def motion_at(arms: Array) -> Array:
+    """Return B = [-(q - m)^, I], (n, 3, 6), for ``arms`` q - m (n, 3)."""
+    B = np.zeros((len(arms), 3, 6))
+    x, y, z = arms.T
+    B[:, 0, 1], B[:, 0, 2] = z, -y
+    B[:, 1, 0], B[:, 1, 2] = -z, x
+    B[:, 2, 0], B[:, 2, 1] = y, -x
+    B[:, :, 3:] = np.eye(3)
+    return B
+
+
+def assess(solution: Solution, centre: Array) -> Confidence | None:
+    """
+    Return the confidence of a solution, or None if its points do not hold the pose.
+
+    The covariance of an M-estimate (Huber 1981, section 6.3), H^-1 S H^-1 with H = sum psi' J J^T and S = sum psi^2 J J^T, psi = w e;
+    for plain least squares the Cramer-Rao bound sigma^2 (J^T J)^-1.
+
+    Parameters
+    ----------
+    solution : of a solver
+    centre : (3,) float, metres, bone frame, the centroid of the points at the solution
+
+    """
+    used = solution.weights > 0.0
+    J, w = solution.jacobian[used], solution.weights[used]
+    # Positive curvature only: a point beyond the bend of its kernel says nothing about the pose
+    H = (J.T * np.clip(solution.curvature[used], 0.0, None)) @ J
+    # Mean of psi^2 instead of each one's own: with few points the sandwich would believe its own residuals
+    psi2 = float(np.sum((w * solution.residuals[used]) ** 2) / max(np.sum(w), 1e-300))
+    S = psi2 * (J.T * w) @ J
+    scale = np.sqrt(np.diag(H))
+    if not np.all(scale > 0.0) or np.linalg.cond(H / np.outer(scale, scale)) > 1e10:
+        return None
+    H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
+    return Confidence(H_inverse @ S @ H_inverse, np.asarray(centre))
+
+
+def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str, Array]) -> WeakestDirection:
+    """Return the screw of a motion [xi, phi] about ``centre``, with its sentence."""
+    xi, phi = motion[:3], motion[3:]
+    angle = float(np.linalg.norm(xi))
+    radius = float(np.sqrt(((surface - centre) ** 2).sum(axis=1).mean()))
+    turns = angle * radius > 0.2 * np.linalg.norm(phi)
+    direction = xi / angle if turns else phi / np.linalg.norm(phi)
+    point = centre + np.cross(xi, phi) / angle**2 if turns else centre
+    pitch = float(xi @ phi) / angle**2 if turns else float('inf')
+    along = _direction_words(direction, surface)
+    near = min(names, key=lambda name: float(np.linalg.norm(names[name] - point)), default=None)
+    place = f'near {near}' if near else 'through ({:.0f}, {:.0f}, {:.0f}) mm'.format(*1e3 * point)
+    if turns:
+        sentence = (f'least held is a rotation about the axis {place} along {along}: '
+                    f'{np.degrees(angle):.2f} deg (one standard deviation)')
+    else:
+        sentence = f'least held is sliding along {along}: {1e3 * np.linalg.norm(phi):.2f} mm (one standard deviation)'
+    return WeakestDirection(direction, point, pitch, angle, float(np.linalg.norm(phi)), sentence)
+
+
+def _direction_words(direction: Array, surface: Array) -> str:
+    """Name a direction: the bone's long axis if it is that, else its components in the bone frame."""
+    _, spread, axes = np.linalg.svd(surface - surface.mean(axis=0), full_matrices=False)
+    if spread[0] > 2.0 * spread[1] and abs(axes[0] @ direction) > np.cos(np.radians(15.0)):
+        return "the bone's long axis"
+    return '({:.2f}, {:.2f}, {:.2f}) of the bone frame'.format(*direction)

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Every setting, once: the same dotted names here, in ``config/*.yaml``, in ``--config`` and as ROS parameters.
+
+You need none of this to run the system; the defaults are meant to do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Iterator, Mapping
+
+from gsdf_registration.result import InputError
+
+
+def _setting(default: Any, description: str, unit: str = '', low: float | None = None,
+             high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False) -> Any:
+    """Declare a field with what a ROS parameter descriptor needs; ``fixed``: not while running."""
+    about = {'description': description, 'unit': unit, 'low': low, 'high': high,
+             'choices': choices, 'fixed': fixed}
+    if isinstance(default, list):
+        return field(default_factory=lambda: list(default), metadata=about)
+    return field(default=default, metadata=about)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The bone."""
+
+    path: str = _setting('', 'mesh (STL, PLY, OBJ, OFF), .gsdf field or point cloud with normals; '
+                         'a path or a package:// URI')
+    unit: str = _setting('mm', 'unit of the lengths in the model file', choices=('mm', 'm'))
+    frame_id: str = _setting('bone', 'name of the frame of the bone model', fixed=True)
+    voxel_size: float = _setting(0.001, 'spacing of the signed-distance samples near the surface', 'm',
+                                 1e-4, 0.01)
+
+
+@dataclass(frozen=True)
+class ProbeConfig:
+    """Where points come from."""
+
+    topics: list[str] = _setting(['/probe/tip'], 'PointStamped topics of the probe tip', fixed=True)
+    frame_id: str = _setting('', 'frame the points must be in; empty: that of the first point')
+
+
+@dataclass(frozen=True)
+class ReferenceConfig:
+    """The array fixed to the bone, if it moves."""
+
+    topic: str = _setting('', 'PoseStamped topic of the reference array in the tracker frame; empty: none',
+                          fixed=True)
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    """When points are kept."""
+
+    automatic: bool = _setting(True, 'collect from activation on, without a call of ~/collect')
+    max_points: int = _setting(200_000, 'points kept at most; further ones are refused and counted',
+                               '', 100, 10_000_000)
+
+
+@dataclass(frozen=True)
+class GateConfig:
+    """Which points are believed."""
+
+    max_speed: float = _setting(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0, 100.0)
+    max_gap: float = _setting(0.5, 'a longer silence starts a new stroke', 's', 0.0, 3600.0)
+    min_distance: float = _setting(0.0, 'a point this near to the last one is a duplicate', 'm', 0.0, 0.01)
+    max_age: float = _setting(0.5, 'a point older than this when it arrives is refused', 's', 0.0, 3600.0)
+    quality: float = _setting(0.001, "a point whose tracker error exceeds this is refused; 0: don't look",
+                              'm', 0.0, 0.1)
+
+
+@dataclass(frozen=True)
+class LandmarksConfig:
+    """Named model points that the operator touches for a first guess."""
+
+    names: list[str] = _setting([], 'landmarks in the order they are touched')
+    positions: list[float] = _setting([], 'their positions, x y z each, bone frame', 'm')
+    dwell: float = _setting(0.5, 'the tip must have rested this long', 's', 0.05, 10.0)
+    radius: float = _setting(0.002, 'a tip that stays within this radius rests', 'm', 1e-4, 0.02)
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """The global search for a first guess."""
+
+    threads: int = _setting(0, 'worker threads; 0: one a core', '', 0, 256)
+
+
+@dataclass(frozen=True)
+class SolverConfig:
+    """The estimate of the pose from a first guess."""
+
+    method: str = _setting('paper', 'how the pose is estimated', choices=('paper',))
+    cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
+                                   1e-5, 0.1)
+    discard_below: float = _setting(0.1, 'a point of less weight is discarded (delta of Algorithm 1)',
+                                    '', 0.0, 1.0)
+    weight_tolerance: float = _setting(1e-3, 'IRLS ends when the weights move less (epsilon of Algorithm 1),'
+                                       ' root mean square', '', 1e-12, 1.0)
+    max_iterations: int = _setting(200, 'Gauss-Newton steps at most in all', '', 1, 100_000)
+    hold: int = _setting(2, 'the end must be met this many times in a row', '', 1, 100)
+
+
+@dataclass(frozen=True)
+class LimitsConfig:
+    """When to refuse."""
+
+    min_points: int = _setting(30, 'fewer points are no registration', '', 6, 100_000)
+    min_extent: float = _setting(0.02, 'the points must span this much', 'm', 0.0, 1.0)
+    min_inliers: float = _setting(0.05, 'share of the points that must lie on the bone', '', 0.0, 1.0)
+    max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker', 'm',
+                                1e-5, 0.1)
+    max_predicted_tre: float = _setting(0.002, 'predicted TRE (RMS) allowed at the targets', 'm', 1e-5, 1.0)
+    verification: float = _setting(0.002, 'distance at a verification point that still passes', 'm',
+                                   1e-5, 0.1)
+
+
+@dataclass(frozen=True)
+class TargetsConfig:
+    """Where on the bone the accuracy matters."""
+
+    names: list[str] = _setting([], 'targets at which TRE is predicted')
+    positions: list[float] = _setting([], 'their positions, x y z each, bone frame', 'm')
+
+
+@dataclass(frozen=True)
+class TfConfig:
+    """The transform on /tf."""
+
+    rate: float = _setting(10.0, 'the bone transform is re-sent this often; 0: never', 'Hz', 0.0, 1000.0)
+
+
+@dataclass(frozen=True)
+class SessionConfig:
+    """The file of ~/save and ~/load."""
+
+    path: str = _setting('registration_session.json', 'session file')
+
+
+@dataclass(frozen=True)
+class Config:
+    """All settings, a section each; SI units throughout."""
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    probe: ProbeConfig = field(default_factory=ProbeConfig)
+    reference: ReferenceConfig = field(default_factory=ReferenceConfig)
+    collect: CollectConfig = field(default_factory=CollectConfig)
+    gate: GateConfig = field(default_factory=GateConfig)
+    landmarks: LandmarksConfig = field(default_factory=LandmarksConfig)
+    search: SearchConfig = field(default_factory=SearchConfig)
+    solver: SolverConfig = field(default_factory=SolverConfig)
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    targets: TargetsConfig = field(default_factory=TargetsConfig)
+    tf: TfConfig = field(default_factory=TfConfig)
+    session: SessionConfig = field(default_factory=SessionConfig)
+
+    @classmethod
+    def from_flat(cls, values: Mapping[str, Any]) -> Config:
+        """
+        Return the defaults changed by dotted names, as ROS parameters give them.
+
+        Raises
+        ------
+        InputError
+            At an unknown name, a wrong type, a value out of range, or positions that do not match their names.
+
+        """
+        return cls().replaced(values)
+
+    @classmethod
+    def from_nested(cls, values: Mapping[str, Any]) -> Config:
+        """
+        Return a config from nested mappings, also in the shape of a ROS parameter file.
+
+        A node name (``registration:`` or ``/**:``) and ``ros__parameters:`` above the sections are stepped over, so one file
+        serves the node and the command line.
+
+        Raises
+        ------
+        InputError
+            As `from_flat`.
+
+        """
+        while len(values) == 1:
+            key, inner = next(iter(values.items()))
+            if key != 'ros__parameters' and not (isinstance(inner, Mapping) and 'ros__parameters' in inner):
+                break
+            values = inner
+        return cls.from_flat(dict(_flattened(values)))
+
+    def replaced(self, values: Mapping[str, Any]) -> Config:
+        """Return a copy with the dotted names in ``values`` changed; raises as `from_flat`."""
+        known = dict(settings())
+        changes: dict[str, dict[str, Any]] = {}
+        for name, value in values.items():
+            if name not in known:
+                raise InputError(f'unknown parameter "{name}"; known ones are listed in '
+                                 'config/registration.yaml')
+            section, key = name.split('.')
+            changes.setdefault(section, {})[key] = _checked(name, value, known[name])
+        config = dataclasses.replace(self, **{
+            section: dataclasses.replace(getattr(self, section), **keys)
+            for section, keys in changes.items()})
+        for section in ('landmarks', 'targets'):
+            points = getattr(config, section)
+            if len(points.positions) != 3 * len(points.names):
+                raise InputError(f'{section}.positions holds {len(points.positions)} numbers for '
+                                 f'{len(points.names)} names; give x y z for each')
+        return config
+
+    def flat(self) -> dict[str, Any]:
+        """Return all settings by dotted name."""
+        return {name: getattr(getattr(self, name.split('.')[0]), name.split('.')[1])
+                for name, _ in settings()}
+
+
+def settings() -> Iterator[tuple[str, dataclasses.Field[Any]]]:
+    """Yield the dotted name and the field of every setting; metadata: description, unit, low, high..."""
+    for section in dataclasses.fields(Config):
+        for setting in dataclasses.fields(section.default_factory):  # type: ignore[arg-type]
+            yield f'{section.name}.{setting.name}', setting
+
+
+def default_of(setting: dataclasses.Field[Any]) -> Any:
+    """Return the default value of a field of `settings`."""
+    factory = setting.default_factory
+    return setting.default if factory is dataclasses.MISSING else factory()
+
+
+def _flattened(values: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flattened(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}', value
+
+
+def _checked(name: str, value: Any, setting: dataclasses.Field[Any]) -> Any:
+    """Return the value in its declared type, or raise InputError."""
+    about = setting.metadata
+    default = default_of(setting)
+    if isinstance(default, list):
+        item = str if 'topics' in name or 'names' in name else float
+        ok = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
+        value = list(value) if ok else value
+        if not ok or any(isinstance(v, str) != (item is str) for v in value):
+            raise InputError(f'{name} must be a list of {item.__name__}, not {value!r}')
+        return [item(v) for v in value]
+    if isinstance(default, bool) or isinstance(default, str):
+        if not isinstance(value, type(default)):
+            raise InputError(f'{name} must be a {type(default).__name__}, not {value!r}')
+    elif isinstance(value, bool) or not isinstance(value, (int, float)) or (
+            isinstance(default, int) and value != int(value)):
+        raise InputError(f'{name} must be a number, not {value!r}')
+    else:
+        value = type(default)(value)
+        low, high = about['low'], about['high']
+        if not (low is None or value >= low) or not (high is None or value <= high):
+            raise InputError(f'{name} must lie in [{low:g}, {high:g}] {about["unit"]}'.rstrip()
+                             + f', not {value:g}')
+    if about['choices'] and value not in about['choices']:
+        raise InputError(f'{name} must be one of {", ".join(about["choices"])}, not "{value}"')
+    return value

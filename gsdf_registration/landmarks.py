@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A first guess from touched landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gsdf_registration import rigid
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array
+
+MIN_SEPARATION = 0.005  # m: landmarks nearer than their usual touch error are one
+MIN_SPREAD = 0.1        # width over length of their triangle: less is a line
+
+
+def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, float]:
+    """
+    Return the pose that best maps landmarks of the model onto the touched ones.
+
+    Parameters
+    ----------
+    model : (n, 3) float, metres, bone frame, n >= 3
+    tracker : (n, 3) float, metres, tracker frame, row i is the touch of row i of ``model``
+
+    Returns
+    -------
+    T_tracker_bone : (4, 4) float
+    residual_rms : float, metres; how well the two triangles agree, not how accurate the pose is
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three pairs, two of them coincide, or they lie on a line: a rotation about the line would be free.
+
+    """
+    model = np.asarray(model, dtype=np.float64)
+    tracker = np.asarray(tracker, dtype=np.float64)
+    if model.shape != tracker.shape or model.ndim != 2 or model.shape[1] != 3:
+        raise InputError(f'landmarks need one touched point for each model point; got arrays of shape {model.shape} and '
+                         f'{tracker.shape}')
+    if len(model) < 3:
+        raise InputError(f'{len(model)} landmark(s) do not fix a pose; touch at least three')
+    if not (np.isfinite(model).all() and np.isfinite(tracker).all()):
+        raise InputError('a landmark holds a number that is not finite; touch it again')
+    for points, where in ((model, 'on the model'), (tracker, 'as touched')):
+        _refuse_degenerate(points, where)
+    T = rigid.fit_points(tracker, model)
+    residual = tracker - rigid.transform(T, model)
+    return T, float(np.sqrt((residual**2).sum(axis=1).mean()))
+
+
+def _refuse_degenerate(points: Array, where: str) -> None:
+    """Raise InputError where two of the points coincide or all lie on a line."""
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    i, j = np.unravel_index(np.argmin(distance + np.diag(np.full(len(points), np.inf))), distance.shape)
+    if distance[i, j] < MIN_SEPARATION:
+        raise InputError(f'landmarks {min(i, j) + 1} and {max(i, j) + 1} {where} are only {1e3 * distance[i, j]:.1f} mm apart; '
+                         'touch points that are well apart')
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < MIN_SPREAD * spread[0]:
+        raise InputError(f'the landmarks {where} lie on a line, which leaves the rotation about it free; touch a point '
+                         'off the line')

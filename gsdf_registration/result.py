@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a registration says: the pose, how good it is, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from gsdf_registration.rigid import Array, inverse
+
+
+class Reason(str, Enum):
+    """Why a registration ended; everything but `CONVERGED` is a refusal."""
+
+    CONVERGED = 'converged'
+    TOO_FEW_POINTS = 'too_few_points'
+    REGION_TOO_SMALL = 'region_too_small'
+    UNDER_CONSTRAINED = 'under_constrained'
+    AMBIGUOUS = 'ambiguous'
+    TOO_FEW_INLIERS = 'too_few_inliers'
+    MODEL_MISMATCH = 'model_mismatch'
+    NOT_CONVERGED = 'not_converged'
+    WRONG_UNIT = 'wrong_unit'
+    BAD_INPUT = 'bad_input'
+    NO_MODEL = 'no_model'
+
+    def __str__(self) -> str:
+        """Return the lower-case word used in JSON, logs and status."""
+        return self.value
+
+
+class Refusal(Exception):
+    """
+    A plain sentence instead of an answer: what is wrong, where, and what to do.
+
+    Raised at the door of every function that cannot give a true answer; the node and the command line turn it into their own
+    form of "no".
+    """
+
+    def __init__(self, reason: Reason, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+        self.message = message
+
+
+class InputError(Refusal):
+    """Something given cannot be read or used as it is; reason `bad_input` unless said otherwise."""
+
+    def __init__(self, message: str, reason: Reason = Reason.BAD_INPUT) -> None:
+        super().__init__(reason, message)
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One Gauss-Newton step of the history: cost (m^2), step (rad, m) and points in use."""
+
+    cost: float
+    rotation_step: float
+    translation_step: float
+    inliers: int
+
+
+@dataclass(frozen=True)
+class WeakestDirection:
+    """The rigid motion the data hold least: a screw axis in the bone frame, in words too."""
+
+    axis: Array                 # (3,) unit
+    point: Array                # (3,) m, on the axis
+    pitch_m_per_rad: float      # translation along the axis per radian; inf: pure translation
+    rotation_sigma_rad: float   # standard deviation of the motion
+    translation_sigma_m: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class RegistrationResult:
+    """
+    The outcome of `register`.
+
+    ``T_tracker_bone`` is None unless `success`.  Lengths in metres, angles in radians; covariance in REP-103 order
+    (x y z rx ry rz) of the bone's pose, fixed axes of the tracker frame, rotation about the bone's origin.
+    """
+
+    reason: Reason
+    message: str
+    T_tracker_bone: Array | None = None         # (4, 4)
+    covariance: Array | None = None             # (6, 6)
+    received: int = 0                           # points given
+    used: int = 0                               # points given to the solver
+    inliers: int = 0                            # points that bear the pose
+    sigma_m: float | None = None                # estimated noise of a point along the surface normal
+    residual_rms_m: float | None = None         # of the inliers; not the accuracy (Fitzpatrick 2009)
+    predicted_tre_m: dict[str, float] = field(default_factory=dict)     # targets, rms, max
+    weakest_direction: WeakestDirection | None = None
+    runner_up_ratio: float | None = None        # cost of the next-best basin over ours
+    iterations: int = 0
+    timing_s: dict[str, float] = field(default_factory=dict)
+    residuals_m: Array | None = None            # (used,) signed distances at the pose
+    weights: Array | None = None                # (used,) in [0, 1]
+    history: tuple[Iteration, ...] = ()
+
+    @property
+    def success(self) -> bool:
+        """Whether there is a pose to be used."""
+        return self.reason is Reason.CONVERGED
+
+    @property
+    def T_bone_tracker(self) -> Array | None:
+        """The inverse of `T_tracker_bone`, what the solver estimates."""
+        return None if self.T_tracker_bone is None else inverse(self.T_tracker_bone)
+
+    @classmethod
+    def refused(cls, reason: Reason, message: str, **known: Any) -> RegistrationResult:
+        """Return a refusal; ``known`` is whatever else is true of it, never a pose."""
+        assert reason is not Reason.CONVERGED and 'T_tracker_bone' not in known
+        return cls(reason=reason, message=message, **known)

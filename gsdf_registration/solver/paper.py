@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The published method: Gauss-Newton, Cauchy IRLS, and discarding of what does not fit.
+
+T. Li et al., "Partial-to-Full Registration based on Gradient-SDF for Computer-Assisted Orthopedic Surgery", arXiv 2410.03078,
+Algorithm 1.  Kept as published, for comparison: what it discards, it never takes back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gsdf_registration.solver.gauss_newton import (EXHAUSTED, SETTLED, SINGULAR, kernel, linearize,
+                                                   normal_equations, solve_cholesky, step_of, update)
+
+
+@kernel
+def algorithm_1(field, points, R, t, keep, weight, e, J, history,
+                cauchy_scale, discard_below, weight_tolerance, hold):
+    """
+    Run Algorithm 1 in place on ``R`` (3, 3), ``t`` (3,); return (termination, iterations).
+
+    ``keep`` (n,) bool loses the discarded points; ``weight``, ``e`` (n,) and ``J`` (n, 6) are left at the pose returned.  ``history``
+    has a row for each iteration allowed.
+    """
+    A = np.zeros((6, 6))
+    b = np.zeros(6)
+    dx = np.zeros(6)
+    held = 0
+    for iteration in range(len(history)):
+        linearize(field, points, R, t, keep, e, J)
+        change = _reweigh(e, keep, weight, cauchy_scale)
+        inliers = keep.sum()
+        # IRLS: the weights have settled when ||w_i - w_(i-1)|| <= epsilon
+        held = held + 1 if change <= weight_tolerance * weight_tolerance * inliers else 0
+        if held >= hold:
+            if _discard(keep, weight, discard_below) == 0:
+                return SETTLED, iteration
+            held = 0
+        history[iteration, 0] = normal_equations(J, e, weight, A, b)
+        history[iteration, 3] = inliers
+        if not solve_cholesky(A, b, dx):
+            return SINGULAR, iteration
+        update(R, t, dx)
+        history[iteration, 1], history[iteration, 2] = step_of(dx)
+    linearize(field, points, R, t, keep, e, J)
+    _reweigh(e, keep, weight, cauchy_scale)
+    return EXHAUSTED, len(history)
+
+
+@kernel
+def _reweigh(e, keep, weight, c):
+    """Set w(e) = 1 / (1 + (e/c)^2), equations 9 and 13, c a length; return ||w_i - w_(i-1)||^2."""
+    change = 0.0
+    for k in range(len(e)):
+        if keep[k]:
+            r = e[k] / c
+            w = 1.0 / (1.0 + r * r)
+            change += (w - weight[k]) ** 2
+            weight[k] = w
+    return change
+
+
+@kernel
+def _discard(keep, weight, delta):
+    """Drop the points with w < delta for good; return how many."""
+    dropped = 0
+    for k in range(len(weight)):
+        if keep[k] and weight[k] < delta:
+            keep[k] = False
+            weight[k] = 0.0
+            dropped += 1
+    return dropped
