@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Make everything in bags/ anew, bit for bit: bones from implicit solids, recordings with `gsdf simulate`.
+
+Usage: ``python benchmarks/make_fixtures.py [DIRECTORY]`` (default: bags/ of this checkout).
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from pathlib import Path
+
+from gsdf_registration.cli import simulate
+from gsdf_registration.simulation.bones import bone_landmarks, bone_mesh
+
+BAGS = Path(__file__).resolve().parent.parent / 'bags'
+# bag: bone and arguments of gsdf simulate; bags/README.md tells them too
+RUNS = {
+    'hip_optical': ('hip', '--region acetabulum --points 600 --rate 80 --speed 40 --sigma 0.15 '
+                    '--outliers 0.02 --interference lift_off:0.03 --dropouts 0.02 --seed 4'),
+    'femur_em': ('femur', '--region proximal_femur --points 1000 --rate 40 --speed 20 --sigma 0.4 '
+                 '--outliers 0.01 --interference lift_off:0.02 --seed 3'),
+}
+
+
+def make(directory: Path) -> None:
+    """Write bones, recordings and truths into ``directory``, replacing what has their names."""
+    directory.mkdir(parents=True, exist_ok=True)
+    landmarks = {}
+    for name in ('hip', 'femur'):
+        mesh = bone_mesh(name)
+        landmarks[name] = bone_landmarks(name, mesh)
+        mesh.export(directory / f'{name}.ply', vertex_normal=False)
+    for bag, (name, arguments) in RUNS.items():
+        shutil.rmtree(directory / bag, ignore_errors=True)
+        touched = [f'--landmark={mark}=' + ','.join(f'{value:.2f}' for value in place)
+                   for mark, place in landmarks[name].items()]
+        parser = argparse.ArgumentParser()
+        simulate.add_parser(parser.add_subparsers())
+        simulate.run(parser.parse_args(['simulate', str(directory / f'{name}.ply'), *arguments.split(),
+                                        *touched, '-o', str(directory / bag)]))
+
+
+if __name__ == '__main__':
+    make(Path(sys.argv[1]) if len(sys.argv) > 1 else BAGS)

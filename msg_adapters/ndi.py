@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Tracker recordings as NDI's Track software writes them (CSV, millimetres).
+
+One line a frame: the number of tools, then a block a tool, led by its label,
+``Port ...,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers`` (or Q0,Qx,Qy,Qz for the angles).
+Optical trackers append State,Tx,Ty,Tz of every marker.  Blocks may differ in length from line to line, so
+they are found by their labels.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from typing import NamedTuple
+
+import numpy as np
+
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array
+from msg_adapters.files import METRES, read_text
+from msg_adapters.recording import Recording
+
+NEEDED = ('State', 'Tx', 'Ty', 'Tz')
+
+
+class _Tool(NamedTuple):
+    """A tool's block: its label, where it starts, name -> offset from there, number of markers' columns."""
+
+    label: str
+    start: int
+    columns: dict[str, int]
+    extra: int
+
+
+class _Sample(NamedTuple):
+    """What is kept of one good line, still in the file's unit."""
+
+    position: list[float]
+    error: float
+    time: float | None
+    line: int
+
+
+def is_ndi(path: str | os.PathLike[str]) -> bool:
+    """Tell an NDI tracker CSV by its header."""
+    return _is_header(_cells(read_text(path).lstrip().partition('\n')[0]))
+
+
+def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording:
+    """
+    Read the positions of one tool.
+
+    Parameters
+    ----------
+    path : path
+        Of the CSV.
+    tool : str, optional
+        Part of the tool's port label; not needed if the file has only one tool.
+
+    Returns
+    -------
+    Recording
+        m and s; samples whose State is not OK are dropped and counted as 'tracking_state'; the Error column
+        is the quality; stamps are None if the file has no times.
+
+    Raises
+    ------
+    InputError
+        If this is no such file, a good line has a value that is no number, the tool is not there or not
+        clear, or it was never tracked.
+
+    """
+    text = enumerate(read_text(path).splitlines(), start=1)
+    lines = [(number, _cells(line)) for number, line in text if line.strip()]
+    if not lines or not _is_header(lines[0][1]):
+        raise InputError(f'{path} is no NDI tracker CSV: its header is not Tools,...,{",".join(NEEDED)}')
+    tools = _tools(lines[0][1])
+    chosen = _chosen(path, tools, tool)
+    labels = {each.label for each in tools}
+    samples, lost = [], 0
+    for number, cells in lines[1:]:
+        block = _block(cells, chosen, labels)
+        state = chosen.columns['State']
+        if len(block) <= state or block[state].upper() != 'OK':
+            lost += 1
+        else:
+            samples.append(_sample(f'{path}, line {number}', number, block, chosen))
+    if not samples:
+        raise InputError(f'{path}: {chosen.label} was never tracked ({lost} lines, none with State OK)')
+    errors = np.array([sample.error for sample in samples]) * METRES['mm']
+    return Recording(
+        positions=np.array([sample.position for sample in samples]) * METRES['mm'],
+        stamps=_stamps(path, samples), source_names=[chosen.label],
+        quality=errors if 'Error' in chosen.columns else None,
+        dropped={'tracking_state': lost} if lost else {})
+
+
+def _cells(line: str) -> list[str]:
+    """Return the cells of a line, stripped."""
+    return [cell.strip() for cell in next(csv.reader([line.strip()]), [''])]
+
+
+def _is_header(cells: list[str]) -> bool:
+    """Tell whether a line is the header of an NDI tracker CSV."""
+    return cells[0] == 'Tools' and set(NEEDED) <= set(cells)
+
+
+def _tools(header: list[str]) -> list[_Tool]:
+    """Return the tools of a header: each block's label stands before its Frame column."""
+    starts = [i - 1 for i, name in enumerate(header) if name == 'Frame' and i > 0] or [0]
+    tools = []
+    for start, end in zip(starts, [*starts[1:], len(header)]):
+        names = ['Time' if name.startswith('Time') else name for name in header[start:end]]
+        # of repeated names the first is the tool's, the later ones are its markers'
+        columns = {name: names.index(name) for name in names if name}
+        tools.append(_Tool(header[start], start, columns, len(names) - len(columns)))
+    return tools
+
+
+def _chosen(path: str | os.PathLike[str], tools: list[_Tool], wanted: str | None) -> _Tool:
+    """Return the tool that is wanted, or the only one."""
+    found = [tool for tool in tools if wanted is None or wanted.lower() in tool.label.lower()]
+    if len(found) != 1:
+        what = 'several tools' if wanted is None else f'{len(found) or "no"} tools like {wanted!r}'
+        raise InputError(f'{path} has {what}: choose one of {"; ".join(tool.label for tool in tools)}')
+    if not set(NEEDED) <= set(found[0].columns):
+        raise InputError(f'{path}: {found[0].label} has not all of the columns {", ".join(NEEDED)}')
+    return found[0]
+
+
+def _block(cells: list[str], tool: _Tool, labels: set[str]) -> list[str]:
+    """Return a tool's cells in a line; none if the line names only other tools."""
+    starts = [i for i, cell in enumerate(cells) if cell in labels]
+    if not starts:
+        return cells[tool.start:]
+    start = next((i for i in starts if cells[i] == tool.label), len(cells))
+    return cells[start:next((i for i in starts if i > start), len(cells))]
+
+
+def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
+    """Return the numbers of a block whose State is OK."""
+    width = len(tool.columns)
+    while len(block) > width and not block[-1]:
+        block = block[:-1]
+    extra = len(block) - width
+    # markers come in groups of four cells; anything else, as a decimal comma, would shift the columns
+    if extra not in (*range(0, tool.extra, 4), tool.extra):
+        raise InputError(f'{where}: has {len(block)} values for {tool.label} where {width} are expected '
+                         '(numbers need a decimal point)')
+    cells = {name: block[i] for name, i in tool.columns.items()}
+    time = cells.get('Time', '')
+    try:
+        position = [float(cells[name]) for name in ('Tx', 'Ty', 'Tz')]
+        return _Sample(position, float(cells.get('Error') or 'nan'), float(time) if time else None, number)
+    except ValueError:
+        raise InputError(f'{where}: State is OK but Time, Tx, Ty, Tz or Error is no number '
+                         '(numbers need a decimal point)') from None
+
+
+def _stamps(path: str | os.PathLike[str], samples: list[_Sample]) -> Array | None:
+    """Return the times, or None if no sample has one."""
+    times = np.array([np.nan if sample.time is None else sample.time for sample in samples])
+    if all(sample.time is None for sample in samples):
+        return None
+    if not np.isfinite(times).all():
+        line = samples[int(np.argmin(np.isfinite(times)))].line
+        raise InputError(f'{path}, line {line}: the time is empty or not finite, but other lines have one')
+    return times

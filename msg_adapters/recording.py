@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every reader yields: the tip's positions as plain arrays in SI, in the order they were recorded."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array
+
+
+@dataclass(eq=False)
+class Recording:
+    """
+    Tip positions and what is known of each.
+
+    positions : (n, 3) float64, m, each in its frame of `frame_ids`; rows that are not finite are kept for the
+        gates to count
+    stamps : (n,) float64, s, or None if the source has no time
+    frame_ids : n names; one string given stands for all
+    sources : (n,) int32, index into `source_names`; left out: all of the first
+    source_names : topics, tools or files the points came from
+    quality : (n,) float64, m, the tracker's own error estimate (NaN: unknown), or None
+    strokes : (n,) int32, number of the stroke, or None if the source has no strokes
+    dropped : samples the source itself marks as invalid, by cause
+    notes : sentences on what was odd but could be read
+    """
+
+    positions: Array
+    stamps: Array | None = None
+    frame_ids: Sequence[str] = ''
+    sources: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    source_names: Sequence[str] = ('',)
+    quality: Array | None = None
+    strokes: NDArray[np.int32] | None = None
+    dropped: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Bring all to arrays of one length; `ValueError` says which does not fit."""
+        self.positions = _array(self.positions, np.float64, 'positions', (-1, 3))
+        n = len(self)
+        self.frame_ids = [self.frame_ids] * n if isinstance(self.frame_ids, str) else list(self.frame_ids)
+        if len(self.frame_ids) != n:
+            raise ValueError(f'{len(self.frame_ids)} frame_ids for {n} points')
+        self.source_names = list(self.source_names)
+        self.sources = _array(self.sources if len(self.sources) else np.zeros(n), np.int32, 'sources', (n,))
+        if n and not 0 <= self.sources.min() <= self.sources.max() < len(self.source_names):
+            raise ValueError(f'sources point outside the {len(self.source_names)} source_names')
+        if self.stamps is not None:
+            self.stamps = _array(self.stamps, np.float64, 'stamps', (n,))
+            if not np.isfinite(self.stamps).all():
+                raise ValueError('stamps are not finite')
+        if self.quality is not None:
+            self.quality = _array(self.quality, np.float64, 'quality', (n,))
+        if self.strokes is not None:
+            self.strokes = _array(self.strokes, np.int32, 'strokes', (n,))
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.positions)
+
+
+def _array(values: Any, dtype: Any, name: str, shape: tuple[int, ...]) -> Any:
+    """Return ``values`` as a C-contiguous array of ``shape``, where -1 stands for any length."""
+    array = np.ascontiguousarray(values, dtype=dtype)
+    if array.size == 0 and shape[0] in (-1, 0):
+        array = array.reshape((0, *shape[1:]))
+    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape)):
+        raise ValueError(f'{name} has shape {array.shape}, wanted {shape}')
+    return array
+
+
+def merge(recordings: Sequence[Recording]) -> Recording:
+    """
+    Return several recordings as one, in the order of their stamps.
+
+    Each recording keeps its own order, so that the gates still see a clock that ran backwards; without stamps
+    they follow one another as given.  Sources of one name become one; strokes stay apart; where only some
+    recordings have strokes, each of the others is one stroke; quality that is unknown becomes NaN.
+
+    Raises
+    ------
+    InputError
+        If there are none, or some have stamps and others do not.
+
+    """
+    if not recordings:
+        raise InputError('there are no recordings to merge')
+    if len({r.stamps is None for r in recordings}) > 1:
+        raise InputError('some of the recordings have stamps and some have none: they cannot be put in order')
+    names = list(dict.fromkeys(name for r in recordings for name in r.source_names))
+    sources = [np.array([names.index(name) for name in r.source_names])[r.sources] for r in recordings]
+    stamps = [r.stamps for r in recordings if r.stamps is not None]
+    whole = Recording(
+        positions=np.concatenate([r.positions for r in recordings]),
+        stamps=np.concatenate(stamps) if stamps else None,
+        frame_ids=[frame for r in recordings for frame in r.frame_ids],
+        sources=np.concatenate(sources).astype(np.int32), source_names=names,
+        quality=_joined_quality(recordings), strokes=_joined_strokes(recordings),
+        dropped=dict(sum((Counter(r.dropped) for r in recordings), Counter())),
+        notes=tuple(note for r in recordings for note in r.notes))
+    if stamps:
+        latest_seen = np.concatenate([np.maximum.accumulate(s) for s in stamps])
+        _reorder(whole, np.argsort(latest_seen, kind='stable'))
+    return whole
+
+
+def _reorder(recording: Recording, order: NDArray[np.intp]) -> None:
+    """Put the points of ``recording`` in ``order``."""
+    recording.frame_ids = [recording.frame_ids[i] for i in order]
+    for name in ('positions', 'stamps', 'sources', 'quality', 'strokes'):
+        values = getattr(recording, name)
+        if values is not None:
+            setattr(recording, name, values[order])
+
+
+def _joined_quality(recordings: Sequence[Recording]) -> Array | None:
+    """Return the quality of all points one after another, None if no recording has any."""
+    if all(r.quality is None for r in recordings):
+        return None
+    return np.concatenate([np.full(len(r), np.nan) if r.quality is None else r.quality for r in recordings])
+
+
+def _joined_strokes(recordings: Sequence[Recording]) -> NDArray[np.int32] | None:
+    """Return stroke numbers that no two recordings share, None if no recording has any."""
+    if all(r.strokes is None for r in recordings):
+        return None
+    joined, offset = [], 0
+    for r in recordings:
+        strokes = np.zeros(len(r), np.int32) if r.strokes is None else r.strokes
+        joined.append(strokes - strokes.min(initial=0) + offset)
+        offset = int(joined[-1].max(initial=offset - 1)) + 1
+    return np.concatenate(joined)

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+ROS messages from arrays and results, and back; the only place that builds messages.
+
+Metres, radians and seconds; quaternions x y z w; covariances row by row in the order x y z rx ry rz about
+fixed axes (REP-103).
+"""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import (
+    Point,
+    PointStamped,
+    Pose,
+    PoseStamped,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array, from_rt, quaternion_from_rotation, rotation_from_quaternion
+from msg_adapters import stamps
+
+# a point of ~/points: name and type of its fields, each of four bytes
+CLOUD = [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('residual', '<f4'), ('weight', '<f4'), ('stroke', '<i4')]
+FIELD_TYPES = {PointField.INT8: 'i1', PointField.UINT8: 'u1', PointField.INT16: 'i2', PointField.UINT16: 'u2',
+               PointField.INT32: 'i4', PointField.UINT32: 'u4',
+               PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
+TYPE_NUMBERS = {name: number for number, name in FIELD_TYPES.items()}
+
+
+def stamp_to_seconds(stamp: Time) -> float:
+    """Return a stamp in seconds."""
+    return stamps.to_seconds(stamp.sec, stamp.nanosec)
+
+
+def seconds_to_stamp(seconds: float) -> Time:
+    """Return the stamp nearest to a time in seconds."""
+    sec, nanosec = stamps.split(stamps.to_nanoseconds(seconds))
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def point_from(message: PointStamped) -> tuple[float, Array, str]:
+    """Return stamp (s), position (3,) m and frame of a point."""
+    point, header = message.point, message.header
+    return stamp_to_seconds(header.stamp), np.array([point.x, point.y, point.z]), header.frame_id
+
+
+def pose_from(message: PoseStamped) -> tuple[float, Array, str]:
+    """Return stamp (s), ``T_frame_body`` (4, 4) and frame of a pose; `InputError` if it is no motion."""
+    pose, header = message.pose, message.header
+    return stamp_to_seconds(header.stamp), _motion(pose.position, pose.orientation), header.frame_id
+
+
+def transform_from(message: TransformStamped) -> tuple[float, Array, str, str]:
+    """Return stamp (s), ``T_parent_child`` (4, 4), parent and child; `InputError` if it is no motion."""
+    motion, header = message.transform, message.header
+    return (stamp_to_seconds(header.stamp), _motion(motion.translation, motion.rotation), header.frame_id,
+            message.child_frame_id)
+
+
+def point_msg(position: ArrayLike, frame_id: str, stamp: Time) -> PointStamped:
+    """Return a point (3,) m in ``frame_id``."""
+    return PointStamped(header=Header(stamp=stamp, frame_id=frame_id), point=_point(position))
+
+
+def pose_msg(T: ArrayLike, frame_id: str, stamp: Time) -> PoseStamped:
+    """Return the pose ``T_frame_body`` (4, 4)."""
+    return PoseStamped(header=Header(stamp=stamp, frame_id=frame_id), pose=_pose(T))
+
+
+def pose_with_covariance_msg(T: ArrayLike, covariance: ArrayLike, frame_id: str,
+                             stamp: Time) -> PoseWithCovarianceStamped:
+    """Return the pose ``T_frame_body`` (4, 4) with its covariance (6, 6), m and rad."""
+    flat = np.asarray(covariance, dtype=np.float64).reshape(36)
+    return PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=frame_id),
+                                     pose=PoseWithCovariance(pose=_pose(T), covariance=flat))
+
+
+def transform_msg(T: ArrayLike, parent: str, child: str, stamp: Time) -> TransformStamped:
+    """Return ``T_parent_child`` (4, 4) for /tf."""
+    T = np.asarray(T, dtype=np.float64)
+    x, y, z = (float(value) for value in T[:3, 3])
+    return TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child,
+                            transform=Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(T)))
+
+
+def cloud_msg(positions: ArrayLike, residual: ArrayLike, weight: ArrayLike, stroke: ArrayLike, frame_id: str,
+              stamp: Time) -> PointCloud2:
+    """
+    Return points as a cloud with fields x y z residual weight (float32) and stroke (int32).
+
+    Parameters
+    ----------
+    positions : (n, 3) float
+        In ``frame_id``, m.
+    residual : (n,) or scalar float
+        Distance to the surface, m; NaN where unknown.
+    weight : (n,) or scalar float
+        In [0, 1]; NaN where unknown.
+    stroke : (n,) or scalar int
+        Number of the stroke.
+    frame_id, stamp : str, Time
+        Of the header.
+
+    """
+    positions = np.asarray(positions)
+    rows = np.zeros(len(positions), dtype=CLOUD)
+    rows['x'], rows['y'], rows['z'] = positions.T
+    rows['residual'], rows['weight'], rows['stroke'] = residual, weight, stroke
+    fields = [PointField(name=name, offset=4 * i, count=1, datatype=TYPE_NUMBERS[kind[1:]])
+              for i, (name, kind) in enumerate(CLOUD)]
+    return PointCloud2(
+        header=Header(stamp=stamp, frame_id=frame_id), height=1, width=len(rows), fields=fields,
+        is_bigendian=False, is_dense=False, point_step=rows.itemsize, row_step=rows.nbytes,
+        # an array is taken over as it is, bytes would be checked one by one
+        data=array.array('B', rows.tobytes()))
+
+
+def cloud_to_arrays(message: PointCloud2) -> dict[str, NDArray[Any]]:
+    """
+    Return the fields of any cloud by name, each (n,) or (n, count).
+
+    Raises
+    ------
+    InputError
+        If its sizes do not fit its data.
+
+    """
+    order = '>' if message.is_bigendian else '<'
+    size, n = message.point_step, message.width * message.height
+    try:
+        layout = np.dtype({
+            'names': [field.name for field in message.fields],
+            'formats': [(order + FIELD_TYPES[field.datatype], (field.count,) if field.count > 1 else ())
+                        for field in message.fields],
+            'offsets': [field.offset for field in message.fields], 'itemsize': size})
+        data = np.frombuffer(message.data, dtype=np.uint8)
+        # a row may be longer than its points
+        rows = data.reshape(message.height, message.row_step)[:, :message.width * size]
+        points = np.ascontiguousarray(rows).view(layout).reshape(n)
+    except (ValueError, KeyError) as error:
+        raise InputError(f'the point cloud does not fit its own description: {error}') from None
+    return {name: points[name].astype(points[name].dtype.newbyteorder('=')) for name in layout.names or ()}
+
+
+def diagnostic_status(name: str, level: bytes, message: str, values: Mapping[str, Any],
+                      hardware_id: str = '') -> DiagnosticStatus:
+    """Return a status; ``level``: DiagnosticStatus.OK, WARN, ERROR or STALE; ``values`` become text."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    return DiagnosticStatus(name=name, level=level, message=message, hardware_id=hardware_id, values=pairs)
+
+
+def surface_msg(points: ArrayLike, frame_id: str, stamp: Time, size: float = 0.002) -> MarkerArray:
+    """Return a surface as dots: ``points`` (n, 3) m in ``frame_id``, ``size`` m across."""
+    marker = Marker(header=Header(stamp=stamp, frame_id=frame_id), ns='surface', type=Marker.POINTS,
+                    action=Marker.ADD, points=[_point(point) for point in np.asarray(points)],
+                    scale=Vector3(x=size, y=size, z=size), color=ColorRGBA(r=0.9, g=0.87, b=0.78, a=1.0))
+    marker.pose.orientation.w = 1.0
+    return MarkerArray(markers=[marker])
+
+
+def _point(position: ArrayLike) -> Point:
+    """Return a position (3,) m as a message."""
+    x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
+    return Point(x=x, y=y, z=z)
+
+
+def _quaternion(T: Array) -> Quaternion:
+    """Return the rotation of a motion (4, 4)."""
+    x, y, z, w = (float(value) for value in quaternion_from_rotation(T[:3, :3]))
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _pose(T: ArrayLike) -> Pose:
+    """Return a motion (4, 4) as a pose."""
+    T = np.asarray(T, dtype=np.float64)
+    return Pose(position=_point(T[:3, 3]), orientation=_quaternion(T))
+
+
+def _motion(position: Point | Vector3, rotation: Quaternion) -> Array:
+    """Return the motion (4, 4) of a position and a quaternion."""
+    t = [position.x, position.y, position.z]
+    if not np.isfinite(t).all():
+        raise InputError(f'a pose has the position {t}, which is not finite')
+    try:
+        return from_rt(rotation_from_quaternion([rotation.x, rotation.y, rotation.z, rotation.w]), t)
+    except ValueError as error:
+        raise InputError(f'a pose has no orientation: {error}') from None

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Delimited text as people and programs write it: comments, blank lines, any order and case of columns."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array
+from msg_adapters.files import read_text
+
+
+@dataclass(frozen=True)
+class Table:
+    """
+    The cells of a text file.
+
+    columns : name in lower case -> index; empty if the file has no header
+    rows : cells of each line with values, stripped
+    lines : number of the line each row stands on, from 1
+    """
+
+    path: str
+    columns: dict[str, int]
+    rows: list[list[str]]
+    lines: list[int]
+
+    def first_of(self, *names: str) -> str | None:
+        """Return the first of ``names`` that is a column, or None."""
+        return next((name for name in names if name in self.columns), None)
+
+    def text(self, name: str) -> list[str]:
+        """Return the cells of a column."""
+        return [row[self.columns[name]] for row in self.rows]
+
+    def numbers(self, *columns: str | int) -> Array:
+        """
+        Return columns, by name or index, as (n, k) float64; an empty cell is NaN.
+
+        Raises
+        ------
+        InputError
+            If a cell is no number, naming its line.
+
+        """
+        indices = [self.columns[c] if isinstance(c, str) else c for c in columns]
+        cells = [[row[j] or 'nan' for j in indices] for row in self.rows]
+        try:
+            return np.array(cells, dtype=np.float64).reshape(len(cells), len(indices))
+        except ValueError:
+            line, cell = next((line, cell) for line, row in zip(self.lines, cells)
+                              for cell in row if not _is_number(cell))
+        hint = ': use a decimal point' if re.fullmatch(r'-?\d+,\d+', cell) else ''
+        raise InputError(f'{self.path}, line {line}: {cell!r} is no number{hint}')
+
+
+def read_table(path: str | os.PathLike[str], wanted: Iterable[str] = ()) -> Table:
+    """
+    Read comma, semicolon, tab or blank separated text; the first line that is not all numbers is the header.
+
+    Blank lines and lines that begin with ``#`` are skipped, but a comment that holds all ``wanted`` names is
+    the header (as numpy.savetxt writes it).
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a line has fewer or more cells than the first.
+
+    """
+    wanted = set(wanted)
+    columns: dict[str, int] = {}
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    separator = None
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        text = line.strip()
+        comment = text.startswith('#')
+        text = text.lstrip('# \t') if comment else text
+        if not text:
+            continue
+        separator = separator or _separator(text)
+        cells = _cells(text, separator)
+        if comment:
+            # a comment may well have another separator than the data
+            names = [name.lower() for name in _cells(text, _separator(text))]
+            if not rows and not columns and wanted and wanted <= set(names):
+                columns = _header(path, number, names)
+            separator = separator if rows or columns else None
+        elif not rows and not columns and not all(_is_number(cell or 'nan') for cell in cells):
+            columns = _header(path, number, [name.lower() for name in cells])
+        else:
+            width = len(columns) or (len(rows[0]) if rows else len(cells))
+            rows.append(_fitted(path, number, cells, width))
+            lines.append(number)
+    return Table(str(path), columns, rows, lines)
+
+
+def _header(path: str | os.PathLike[str], number: int, names: list[str]) -> dict[str, int]:
+    """Return name -> index of a header's cells."""
+    while names and not names[-1]:
+        names.pop()  # a separator at the end of the line
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f'{path}, line {number}: the column {twice!r} stands there twice')
+    return {name: i for i, name in enumerate(names)}
+
+
+def _fitted(path: str | os.PathLike[str], number: int, cells: list[str], width: int) -> list[str]:
+    """Return ``cells`` without empty ones past ``width``, or raise if they do not fit."""
+    if len(cells) < width or any(cells[width:]):
+        raise InputError(f'{path}, line {number}: has {len(cells)} values where {width} are expected')
+    return cells[:width]
+
+
+def _separator(text: str) -> str:
+    """Return what separates the cells of a line: the first of ; tab , found in it, else blanks."""
+    return next((mark for mark in ';\t,' if mark in text), ' ')
+
+
+def _cells(text: str, separator: str) -> list[str]:
+    """Split a line into stripped cells, quotes removed."""
+    if separator == ' ':
+        return text.split()
+    return [cell.strip() for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
+
+
+def _is_number(cell: str) -> bool:
+    """Tell whether a cell reads as a float, NaN and infinity included."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

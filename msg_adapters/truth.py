@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ground truth of a recording: a YAML of the same name beside it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array, is_rigid
+from msg_adapters.files import METRES, read_text, write_atomically
+
+SCHEMA = 'gsdf-truth/1'
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """
+    Where the bone of a recording really was.
+
+    model : file name of the bone's model, relative to the YAML's directory
+    model_unit : unit of that file, 'mm' or 'm'
+    frame_id : frame of the recorded points
+    T_tracker_bone : (4, 4) float
+    landmark_names : names of the landmarks, in the order they were touched
+    landmarks_model : (k, 3) float, m, bone frame
+    landmarks_tracker : (k, 3) float, m, as touched, in the frame of the points
+    about : how the recording was made (noise, seed, command, ...), plain YAML values
+    """
+
+    model: str
+    model_unit: str
+    frame_id: str
+    T_tracker_bone: Array
+    landmark_names: tuple[str, ...] = ()
+    landmarks_model: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    landmarks_tracker: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    about: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Turn lists into arrays and check their shapes; `ValueError` if they do not fit."""
+        set_ = object.__setattr__
+        set_(self, 'landmark_names', tuple(self.landmark_names))
+        set_(self, 'T_tracker_bone', np.asarray(self.T_tracker_bone, dtype=np.float64))
+        for name in ('landmarks_model', 'landmarks_tracker'):
+            set_(self, name, np.asarray(getattr(self, name), dtype=np.float64).reshape(-1, 3))
+        if not is_rigid(self.T_tracker_bone):
+            raise ValueError('T_tracker_bone is not a rigid motion')
+        if not len(self.landmark_names) == len(self.landmarks_model) == len(self.landmarks_tracker):
+            raise ValueError('the landmarks differ in number')
+        if self.model_unit not in METRES:
+            raise ValueError(f'model_unit {self.model_unit!r} is neither mm nor m')
+
+
+def truth_path(bag: str | os.PathLike[str]) -> Path:
+    """Return where the ground truth of a bag (directory or storage file) lies."""
+    bag = Path(bag)
+    name = bag.stem if bag.suffix in ('.mcap', '.db3') else bag.name
+    return bag.parent / f'{name}.yaml'
+
+
+def write_truth(path: str | os.PathLike[str], truth: Truth) -> None:
+    """Write ``truth`` as YAML, replacing what stood there in one step."""
+    landmarks = [{'name': name, 'model': model.tolist(), 'tracker': tracker.tolist()}
+                 for name, model, tracker in zip(truth.landmark_names, truth.landmarks_model,
+                                                 truth.landmarks_tracker)]
+    document = {'schema': SCHEMA, 'model': truth.model, 'model_unit': truth.model_unit,
+                'frame_id': truth.frame_id, 'T_tracker_bone': truth.T_tracker_bone.tolist(),
+                'landmarks': landmarks, 'about': truth.about}
+    write_atomically(path, yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))
+
+
+def read_truth(path: str | os.PathLike[str]) -> Truth:
+    """
+    Read what `write_truth` wrote; metres.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no such YAML, or holds something else.
+
+    """
+    try:
+        document = yaml.safe_load(read_text(path))
+    except yaml.YAMLError:
+        raise InputError(f'{path} is not valid YAML') from None
+    if not isinstance(document, dict) or document.get('schema') != SCHEMA:
+        raise InputError(f'{path} is no ground truth of schema {SCHEMA}')
+    try:
+        landmarks = document['landmarks']
+        return Truth(document['model'], document['model_unit'], document['frame_id'],
+                     document['T_tracker_bone'], tuple(mark['name'] for mark in landmarks),
+                     np.array([mark['model'] for mark in landmarks]),
+                     np.array([mark['tracker'] for mark in landmarks]),
+                     document['about'])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f'{path} is a damaged ground truth: {_what(error)}') from None
+
+
+def _what(error: Exception) -> str:
+    """Say in words what was wrong with the document."""
+    return f'{error.args[0]} is missing' if isinstance(error, KeyError) else str(error)

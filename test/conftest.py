@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures that several test modules use: the shipped bones and recordings, and a copy of the sources."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msg_adapters.bag import read_bag
+from msg_adapters.points import read_model
+from msg_adapters.recording import Recording
+from msg_adapters.truth import Truth, read_truth
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE', 'resource',
+           'config', 'launch', 'bags', 'gsdf_registration', 'msg_adapters', 'test')
+
+
+@pytest.fixture(scope='session')
+def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of what makes the package, to build in without leaving anything in the sources."""
+    copy = tmp_path_factory.mktemp('workspace') / 'gsdf_registration'
+    for name in PACKAGE:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns('__pycache__'))
+        else:
+            copy.mkdir(exist_ok=True)
+            shutil.copy(ROOT / name, copy / name)
+    return copy
+
+
+@pytest.fixture(scope='session')
+def bags() -> Path:
+    """Return the directory of the shipped bones and recordings."""
+    return ROOT / 'bags'
+
+
+@pytest.fixture(scope='session')
+def hip_bone(bags: Path) -> Path:
+    return bags / 'hip.ply'
+
+
+@pytest.fixture(scope='session')
+def femur_bone(bags: Path) -> Path:
+    return bags / 'femur.ply'
+
+
+@pytest.fixture(scope='session')
+def hip_surface(hip_bone: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (n, 3), m, and faces (m, 3) of the hip."""
+    vertices, faces, _ = read_model(hip_bone, 'mm')
+    assert faces is not None
+    return vertices, faces
+
+
+@pytest.fixture(scope='session')
+def femur_surface(femur_bone: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (n, 3), m, and faces (m, 3) of the femur."""
+    vertices, faces, _ = read_model(femur_bone, 'mm')
+    assert faces is not None
+    return vertices, faces
+
+
+@pytest.fixture(scope='session')
+def optical_bag(bags: Path) -> Path:
+    return bags / 'hip_optical'
+
+
+@pytest.fixture(scope='session')
+def em_bag(bags: Path) -> Path:
+    return bags / 'femur_em'
+
+
+@pytest.fixture(scope='session')
+def optical_run(optical_bag: Path) -> tuple[Recording, Truth]:
+    return read_bag(optical_bag), read_truth(optical_bag.with_suffix('.yaml'))
+
+
+@pytest.fixture(scope='session')
+def em_run(em_bag: Path) -> tuple[Recording, Truth]:
+    return read_bag(em_bag), read_truth(em_bag.with_suffix('.yaml'))

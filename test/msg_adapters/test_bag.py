@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+
+import shutil
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from gsdf_registration.result import InputError
+from msg_adapters.bag import BagWriter, list_topics, read_bag
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+POINT = 'geometry_msgs/msg/PointStamped'
+STORAGES = [StoragePlugin.MCAP, StoragePlugin.SQLITE3]
+
+
+def new(kind, *values):
+    return TYPES.types[kind](*values)
+
+
+def header(nanoseconds, frame_id='tracker'):
+    time = new('builtin_interfaces/msg/Time', *divmod(nanoseconds, 10**9))
+    return new('std_msgs/msg/Header', time, frame_id)
+
+
+def point(nanoseconds, x, y, z, frame_id='tracker'):
+    return new(POINT, header(nanoseconds, frame_id), new('geometry_msgs/msg/Point', x, y, z))
+
+
+def record(path, messages, storage=StoragePlugin.MCAP, compressed=None):
+    """Write (topic, type, log time, message) as any recorder may do."""
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if compressed:
+        writer.set_compression(compressed, CompressionFormat.ZSTD)
+    with writer:
+        connections = {}
+        for topic, kind, logged, message in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=TYPES)
+            writer.write(connections[topic], logged, TYPES.serialize_cdr(message, kind))
+    return path
+
+
+def points_on(topic, count, start=10**9, step=12_500_000):
+    return [(topic, POINT, start + i * step + 3_000_000, point(start + i * step, float(i), 0.5, -i / 7))
+            for i in range(count)]
+
+
+def storage_file(path):
+    return next(file for file in path.iterdir() if file.suffix in ('.mcap', '.db3'))
+
+
+def refusal(*args):
+    with pytest.raises(InputError) as caught:
+        read_bag(*args)
+    assert '\n' not in caught.value.message
+    return caught.value.message
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_twenty_thousand_points_exactly(tmp_path, storage):
+    path = record(tmp_path / 'run', points_on('/probe/tip', 20_000), storage)
+    for source in (path, storage_file(path)):
+        points = read_bag(source)
+        assert len(points) == 20_000
+        steps = np.arange(20_000)
+        wanted = np.column_stack([steps, np.full(20_000, 0.5), -steps / 7])
+        np.testing.assert_array_equal(points.positions, wanted)
+        # of the header, not 3 ms later when they were received
+        np.testing.assert_allclose(points.stamps, 1.0 + steps * 0.0125, rtol=0, atol=1e-9)
+        assert set(points.frame_ids) == {'tracker'} and points.source_names == ['/probe/tip']
+        assert points.notes == () and points.strokes is None and points.quality is None
+
+
+@pytest.mark.parametrize('mode', [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE])
+def test_compressed_bags(tmp_path, mode):
+    path = record(tmp_path / 'run', points_on('/probe/tip', 50), compressed=mode)
+    assert len(read_bag(path)) == 50
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_all_types_that_carry_a_position(tmp_path, storage):
+    pose = new('geometry_msgs/msg/Pose', new('geometry_msgs/msg/Point', 1.0, 2.0, 3.0),
+               new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0))
+    motion = new('geometry_msgs/msg/Transform', new('geometry_msgs/msg/Vector3', 4.0, 5.0, 6.0),
+                 new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0))
+    path = record(tmp_path / 'run', [
+        ('/pose', 'geometry_msgs/msg/PoseStamped', 2,
+         new('geometry_msgs/msg/PoseStamped', header(20, 'a'), pose)),
+        ('/motion', 'geometry_msgs/msg/TransformStamped', 1,
+         new('geometry_msgs/msg/TransformStamped', header(30, 'b'), 'tool', motion)),
+        ('/point', POINT, 3, point(10, 7.0, 8.0, 9.0, 'c')),
+        ('/text', 'std_msgs/msg/String', 4, new('std_msgs/msg/String', 'hello'))], storage)
+    points = read_bag(path, ['/pose', '/motion', '/point'])
+    # in the order they were received, whatever their headers say
+    assert points.positions.tolist() == [[4, 5, 6], [1, 2, 3], [7, 8, 9]]
+    assert points.frame_ids == ['b', 'a', 'c']
+    assert [points.source_names[i] for i in points.sources] == ['/motion', '/pose', '/point']
+    assert [(topic.name, topic.messages) for topic in list_topics(path)] == [
+        ('/motion', 1), ('/point', 1), ('/pose', 1), ('/text', 1)]
+    assert read_bag(path).source_names == ['/point']        # the only PointStamped topic
+    assert '/text' in refusal(path, ['/text'])
+
+
+def test_which_topic_is_the_tip(tmp_path):
+    tip, other, marks = (points_on(name, 2) for name in ('/probe/tip', '/other', '/probe/landmarks'))
+    assert read_bag(record(tmp_path / 'a', tip + other + marks)).source_names == ['/probe/tip']
+    assert read_bag(record(tmp_path / 'b', other + marks)).source_names == ['/other']
+    assert len(read_bag(tmp_path / 'b', ['/probe/landmarks', '/other', '/other'])) == 4
+    message = refusal(record(tmp_path / 'c', other + points_on('/another', 1)))
+    assert '/other' in message and '/another' in message and POINT in message
+    assert '/probe/landmarks' in refusal(record(tmp_path / 'd', marks))
+    assert '/tip' in refusal(tmp_path / 'a', ['/tip']) and '/probe/tip' in refusal(tmp_path / 'a', ['/tip'])
+    assert refusal(tmp_path / 'a', [])
+
+
+def test_points_that_are_not_finite_are_left_to_the_gates(tmp_path):
+    path = record(tmp_path / 'run', [('/probe/tip', POINT, 1, point(1, float('nan'), 0.0, float('inf')))])
+    assert not np.isfinite(read_bag(path).positions).all()
+
+
+def test_what_is_no_bag_is_one_sentence(tmp_path):
+    assert 'does not exist' in refusal(tmp_path / 'none')
+    (tmp_path / 'empty').mkdir()
+    assert 'is no bag' in refusal(tmp_path / 'empty')
+    (tmp_path / 'points.csv').write_text('x,y,z\n')
+    assert 'is no bag' in refusal(tmp_path / 'points.csv')
+    for suffix in ('mcap', 'db3'):
+        (tmp_path / f'zero.{suffix}').write_bytes(b'')
+        (tmp_path / f'junk.{suffix}').write_bytes(b'no bag at all\n' * 20)
+        assert str(tmp_path) in refusal(tmp_path / f'zero.{suffix}')
+        assert str(tmp_path) in refusal(tmp_path / f'junk.{suffix}')
+    with BagWriter(tmp_path / 'nothing'):
+        pass
+    assert 'topic' in refusal(tmp_path / 'nothing')
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+@pytest.mark.parametrize('share', [0.01, 0.3, 0.9, 0.999])
+def test_a_bag_cut_short_by_copying_is_refused(tmp_path, storage, share):
+    path = record(tmp_path / 'run', points_on('/probe/tip', 2000), storage)
+    file = storage_file(path)
+    content = file.read_bytes()
+    file.write_bytes(content[:int(share * len(content))])
+    assert 'cut short' in refusal(path)
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_damaged_metadata_is_refused(tmp_path, storage):
+    path = record(tmp_path / 'run', points_on('/probe/tip', 20), storage)
+    good = (path / 'metadata.yaml').read_text()
+    for bad in ('', 'rosbag2_bagfile_information: 5\n', good[:100], good.replace('run', 'gone'), '\t{'):
+        (path / 'metadata.yaml').write_text(bad)
+        assert 'damaged' in refusal(path)
+    (path / 'metadata.yaml').unlink()
+    points = read_bag(path)
+    assert len(points) == 20 and 'no metadata.yaml' in points.notes[0]
+
+
+def test_a_recorder_that_was_killed_costs_only_what_was_not_written(tmp_path):
+    path = record(tmp_path / 'run', points_on('/probe/tip', 30_000))
+    whole = read_bag(path)
+    file = storage_file(path)
+    content = file.read_bytes()
+    (path / 'metadata.yaml').unlink()
+    file.write_bytes(content[:int(0.7 * len(content))])     # the last chunk, index and end are gone
+    for source in (path, file):
+        points = read_bag(source)
+        assert 10_000 < len(points) < 30_000
+        np.testing.assert_array_equal(points.positions, whole.positions[:len(points)])
+        assert any('recorder was killed' in note for note in points.notes)
+    file.write_bytes(content[:5000])        # within the first chunk
+    assert 'nothing readable' in refusal(path)
+
+
+def test_the_parts_of_a_split_bag_without_metadata_are_read_in_order(tmp_path):
+    (tmp_path / 'run').mkdir()
+    for part in range(11):
+        piece = record(tmp_path / f'piece{part}', points_on('/probe/tip', 3, start=part * 10**9))
+        shutil.copy(storage_file(piece), tmp_path / 'run' / f'run_{part}.mcap')
+    stamps = read_bag(tmp_path / 'run').stamps
+    assert len(stamps) == 33 and (np.diff(stamps) > 0).all()
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_flipped_bytes_never_end_in_a_traceback(tmp_path, storage):
+    path = record(tmp_path / 'run', points_on('/probe/tip', 100), storage)
+    file = storage_file(path)
+    content = file.read_bytes()
+    rng = np.random.default_rng(3)
+    refused = 0
+    for _ in range(150):
+        damaged = bytearray(content)
+        for place in rng.integers(0, len(content), 3):
+            damaged[place] ^= int(rng.integers(1, 256))
+        file.write_bytes(damaged)
+        for source in (path, file):
+            try:
+                assert len(read_bag(source)) <= 100
+            except InputError as error:
+                assert '\n' not in error.message
+                refused += 1
+    assert refused
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    rng = np.random.default_rng(1)
+    positions, stamps = rng.normal(size=(500, 3)), 1.75e9 + np.cumsum(rng.uniform(0.005, 0.02, 500))
+    with BagWriter(tmp_path / 'run') as bag:
+        for stamp, position in zip(stamps, positions):
+            bag.write_point('/probe/tip', stamp, position, 'tracker')
+        bag.write_point('/probe/landmarks', stamps[0], [1, 2, 3], 'tracker')
+    points = read_bag(tmp_path / 'run')
+    np.testing.assert_array_equal(points.positions, positions)
+    np.testing.assert_array_equal(points.stamps, stamps)
+    assert read_bag(tmp_path / 'run', ['/probe/landmarks']).positions.tolist() == [[1, 2, 3]]
+
+
+def test_the_order_of_reception_may_differ_from_that_of_the_stamps(tmp_path):
+    with BagWriter(tmp_path / 'run') as bag:
+        for received, stamp in enumerate([3.0, 1.0, 2.0]):
+            bag.write_point('/probe/tip', stamp, [0, 0, 0], 'tracker', received=float(received))
+    assert read_bag(tmp_path / 'run').stamps.tolist() == [3, 1, 2]
+
+
+def test_the_same_points_give_the_same_bytes(tmp_path):
+    contents = []
+    for _ in range(2):
+        with BagWriter(tmp_path / 'run') as bag:
+            for i in range(100):
+                bag.write_point('/probe/tip', 1.0 + i / 80, [i, 0, 0], 'tracker')
+        contents.append({file.name: file.read_bytes() for file in (tmp_path / 'run').iterdir()})
+        shutil.rmtree(tmp_path / 'run')
+    assert contents[0] == contents[1] and set(contents[0]) == {'run.mcap', 'metadata.yaml'}
+
+
+def test_a_writer_that_fails_leaves_nothing_and_overwrites_nothing(tmp_path):
+    with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / 'run') as bag:
+        bag.write_point('/probe/tip', 1.0, [0, 0, 0], 'tracker')
+        raise ZeroDivisionError
+    assert not (tmp_path / 'run').exists()
+    (tmp_path / 'run').mkdir()
+    with pytest.raises(InputError, match='exists already'):
+        BagWriter(tmp_path / 'run')
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(InputError, match='cannot be written'), BagWriter(tmp_path / 'file' / 'run'):
+        pass

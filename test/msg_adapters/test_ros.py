@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+
+import array
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import exp
+
+pytest.importorskip('geometry_msgs.msg')
+
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from geometry_msgs.msg import PoseStamped  # noqa: E402
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from sensor_msgs.msg import PointCloud2, PointField  # noqa: E402
+
+from msg_adapters import ros  # noqa: E402
+
+FINITE = st.floats(-1e6, 1e6)
+VECTORS = st.tuples(FINITE, FINITE, FINITE)
+TWISTS = st.tuples(*[st.floats(-1.8, 1.8)] * 3, *[st.floats(-10, 10)] * 3)
+NAMES = st.text('abcdefghijklmnopqrstuvwxyz_', min_size=1, max_size=12)
+STAMP = ros.seconds_to_stamp(12.25)
+
+
+def sent(message):
+    """Return the message as it arrives: through the wire format of ROS."""
+    return deserialize_message(serialize_message(message), type(message))
+
+
+@settings(deadline=None, max_examples=50)
+@given(VECTORS, NAMES, st.integers(0, 2**22), st.integers(0, 999_999_999))
+def test_points_round_trip(position, frame_id, sec, nanosec):
+    stamp = ros.Time(sec=sec, nanosec=nanosec)
+    message = sent(ros.point_msg(position, frame_id, stamp))
+    seconds, back, frame = ros.point_from(message)
+    assert (tuple(back), frame) == (position, frame_id)
+    assert ros.seconds_to_stamp(seconds) == stamp == message.header.stamp
+
+
+@settings(deadline=None, max_examples=50)
+@given(TWISTS)
+def test_poses_and_transforms_round_trip(twist):
+    T = exp(twist)
+    seconds, back, frame = ros.pose_from(sent(ros.pose_msg(T, 'tracker', STAMP)))
+    assert (seconds, frame) == (12.25, 'tracker')
+    np.testing.assert_allclose(back, T, atol=1e-12)
+    seconds, back, parent, child = ros.transform_from(sent(ros.transform_msg(T, 'tracker', 'bone', STAMP)))
+    assert (seconds, parent, child) == (12.25, 'tracker', 'bone')
+    np.testing.assert_allclose(back, T, atol=1e-12)
+
+
+def test_covariance_is_row_by_row_in_the_order_of_rep_103():
+    covariance = np.diag([1.0, 2, 3, 4, 5, 6])
+    covariance[0, 5] = covariance[5, 0] = 0.5       # x with rz
+    message = sent(ros.pose_with_covariance_msg(np.eye(4), covariance, 'tracker', STAMP))
+    assert message.pose.covariance[:6].tolist() == [1, 0, 0, 0, 0, 0.5]
+    np.testing.assert_array_equal(message.pose.covariance.reshape(6, 6), covariance)
+    assert message.header.frame_id == 'tracker' and message.pose.pose.orientation.w == 1.0
+
+
+def test_poses_that_are_no_motion_are_refused():
+    message = PoseStamped()
+    message.pose.orientation.w = 0.0
+    with pytest.raises(InputError, match='orientation'):
+        ros.pose_from(message)
+    message.pose.orientation.w = float('nan')
+    with pytest.raises(InputError, match='orientation'):
+        ros.pose_from(message)
+    message.pose.orientation.w = 1.0
+    message.pose.position.x = float('inf')
+    with pytest.raises(InputError, match='not finite'):
+        ros.pose_from(message)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.tuples(*[st.floats(-10, 10, width=32)] * 5, st.integers(-2**31, 2**31 - 1)), max_size=20))
+def test_clouds_round_trip(rows):
+    columns = [np.array(column) for column in zip(*rows)] if rows else [np.zeros(0)] * 6
+    message = sent(ros.cloud_msg(np.column_stack(columns[:3]), *columns[3:], 'bone', STAMP))
+    assert (message.width, message.height, message.point_step) == (len(rows), 1, 24)
+    assert [field.name for field in message.fields] == ['x', 'y', 'z', 'residual', 'weight', 'stroke']
+    back = ros.cloud_to_arrays(message)
+    for name, column in zip(('x', 'y', 'z', 'residual', 'weight', 'stroke'), columns):
+        np.testing.assert_array_equal(back[name], column)
+    assert back['x'].dtype == np.float32 and back['stroke'].dtype == np.int32
+
+
+def test_a_cloud_takes_scalars_and_what_is_unknown():
+    back = ros.cloud_to_arrays(ros.cloud_msg([[1, 2, 3], [4, 5, 6]], np.nan, 1.0, 0, 'bone', STAMP))
+    assert np.isnan(back['residual']).all() and back['weight'].tolist() == [1, 1]
+
+
+def test_clouds_of_others_with_gaps_rows_and_the_other_byte_order():
+    points = np.array([[(1.5, 7), (2.5, 8)], [(3.5, 9), (4.5, 10)]],
+                      np.dtype({'names': ['x', 'i'], 'formats': ['>f8', '>u2'], 'offsets': [4, 14],
+                                'itemsize': 20}))
+    data = b''.join(row.tobytes() + b'pad' for row in points)
+    message = PointCloud2(height=2, width=2, point_step=20, row_step=43, is_bigendian=True,
+                          data=array.array('B', data), fields=[
+                              PointField(name='x', offset=4, datatype=PointField.FLOAT64, count=1),
+                              PointField(name='i', offset=14, datatype=PointField.UINT16, count=1)])
+    back = ros.cloud_to_arrays(message)
+    assert back['x'].tolist() == [1.5, 2.5, 3.5, 4.5] and back['i'].tolist() == [7, 8, 9, 10]
+    assert back['x'].dtype == np.float64
+    message.data = message.data[:-1]
+    with pytest.raises(InputError, match='point cloud'):
+        ros.cloud_to_arrays(message)
+
+
+def test_diagnostics_are_text():
+    message = sent(ros.diagnostic_status('registration', DiagnosticStatus.WARN, 'collecting',
+                                         {'received': 12, 'state': 'collecting'}))
+    assert (message.name, message.level, message.message) == ('registration', b'\x01', 'collecting')
+    values = {pair.key: pair.value for pair in message.values}
+    assert values == {'received': '12', 'state': 'collecting'}
+
+
+def test_the_surface_is_drawn_in_metres():
+    marker, = sent(ros.surface_msg(np.array([[0.1, 0.2, 0.3]], np.float32), 'bone', STAMP)).markers
+    assert marker.header.frame_id == 'bone' and marker.pose.orientation.w == 1.0
+    assert marker.points[0].x == pytest.approx(0.1) and marker.scale.x == 0.002

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Regions are found by shape alone, wherever the bone lies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import transform
+from gsdf_registration.simulation import femur, hip
+from gsdf_registration.simulation.probe import random_pose
+from gsdf_registration.simulation.regions import RADIUS, named_patch
+
+Surface = tuple[np.ndarray, np.ndarray]
+
+
+def test_acetabulum(hip_surface: Surface) -> None:
+    T = random_pose(np.random.default_rng(3))
+    patch = named_patch('acetabulum', transform(T, hip_surface[0]), hip_surface[1])
+    assert np.linalg.norm(patch.corners.mean(axis=1) - T[:3, 3], axis=1).max() < RADIUS['acetabulum'] + 0.001
+    assert patch.approach @ T[:3, :3] @ hip.CUP_AXIS > 0.95
+
+
+def test_ends_of_the_femur(femur_surface: Surface) -> None:
+    proximal = named_patch('proximal_femur', *femur_surface).corners.reshape(-1, 3)
+    assert proximal[:, 2].min() > 0.34
+    assert np.linalg.norm(proximal - 1e-3 * np.array(femur.HEAD), axis=1).min() < 0.025
+    distal = named_patch('condyles', *femur_surface)
+    assert distal.corners[..., 2].max() < 0.08 and distal.approach[2] < -0.9
+    assert np.ptp(distal.corners[..., 0]) > 0.06        # both condyles
+
+
+def test_wider_end_of_a_long_bone(femur_surface: Surface) -> None:
+    """No tibia is at hand; the rule is the wider end, which of a femur is the distal one too."""
+    patch = named_patch('proximal_tibia', *femur_surface, radius=0.03)
+    assert patch.corners[..., 2].max() < 0.08
+
+
+def test_wrong_bone_is_refused(hip_surface: Surface, femur_surface: Surface) -> None:
+    with pytest.raises(InputError, match='has no cup'):
+        named_patch('acetabulum', *femur_surface)
+    with pytest.raises(InputError, match='has no head'):
+        named_patch('proximal_femur', *hip_surface)
+    with pytest.raises(InputError, match='is not known'):
+        named_patch('skull', *hip_surface)
