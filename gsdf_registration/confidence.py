@@ -24,7 +24,7 @@ class Confidence:
     """
     What the points say about the pose.
 
-    motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone axes; None if the points do not hold it
+    motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone axes
     centre : (3,) float, m, bone frame: the centroid of the points
     """
 
@@ -35,7 +35,7 @@ class Confidence:
         """Return the predicted TRE (RMS, m) at each of ``targets`` (n, 3), m, bone frame; shape (n,)."""
         # trace(B C B^T) with B = [-(q - m)^, I], written out for all targets at once
         B = motion_at(targets - self.centre)
-        return np.asarray(np.sqrt(np.einsum('nij,jk,nik->n', B, self.motion_covariance, B)))
+        return np.asarray(np.sqrt((B @ self.motion_covariance * B).sum(axis=(1, 2))))
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
@@ -58,7 +58,8 @@ class Confidence:
         of it by.
         """
         B = motion_at(surface - self.centre)
-        L = np.linalg.cholesky(np.einsum('nij,nik->jk', B, B) / len(B))
+        B = B.reshape(-1, 6)
+        L = np.linalg.cholesky(3.0 * B.T @ B / len(B))
         values, vectors = np.linalg.eigh(L.T @ self.motion_covariance @ L)
         motion = np.linalg.solve(L.T, vectors[:, -1]) * np.sqrt(values[-1])
         return _screw(motion, self.centre, surface, names)

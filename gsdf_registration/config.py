@@ -87,6 +87,12 @@ class LandmarksConfig:
 class SearchConfig:
     """The global search for a first guess."""
 
+    rotations: int = _setting(500, 'attitudes tried', '', 1, 100_000)
+    places: int = _setting(30, 'places on the bone tried for each of them', '', 1, 10_000)
+    reach: float = _setting(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
+    radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm', 1e-4, 0.1)
+    spacing: float = _setting(0.002, 'points nearer to one another than this count as one in the search', 'm', 1e-5, 0.1)
+    solutions: int = _setting(6, 'poses that fit best which are solved to the end', '', 1, 100)
     threads: int = _setting(0, 'worker threads; 0: one a core', '', 0, 256)
 
 
@@ -114,6 +120,8 @@ class LimitsConfig:
     min_inliers: float = _setting(0.05, 'share of the points that must lie on the bone', '', 0.0, 1.0)
     max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker', 'm',
                                 1e-5, 0.1)
+    min_runner_up_ratio: float = _setting(1.1, 'cost of the next-best pose over that of the best; nearer is ambiguous',
+                                          '', 1.0, 100.0)
     max_predicted_tre: float = _setting(0.002, 'predicted TRE (RMS) allowed at the targets', 'm', 1e-5, 1.0)
     verification: float = _setting(0.002, 'distance at a verification point that still passes', 'm',
                                    1e-5, 0.1)

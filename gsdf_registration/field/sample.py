@@ -122,6 +122,23 @@ def sample(field, x, y, z):
     return _sample_outside(field, px, py, pz)
 
 
+@_inline
+def sample_coarse(field, x, y, z):
+    """Return (distance, gx, gy, gz) from the nearest coarse node alone, one fetch: for a wide search."""
+    edge = CELLS * field.voxel
+    bx, by, bz = field.block_of.shape
+    px = (x - field.origin[0]) / edge
+    py = (y - field.origin[1]) / edge
+    pz = (z - field.origin[2]) / edge
+    # the nearest node inside the box; beyond it its plane goes on
+    i = _u(min(max(px + 0.5, 0.0), float(bx)))
+    j = _u(min(max(py + 0.5, 0.0), float(by)))
+    k = _u(min(max(pz + 0.5, 0.0), float(bz)))
+    at = _u(field.first_coarse) + (i * _u(by + 1) + j) * _u(bz + 1) + k
+    gx, gy, gz = field.nodes[at, 1], field.nodes[at, 2], field.nodes[at, 3]
+    return field.nodes[at, 0] + edge * (gx * (px - i) + gy * (py - j) + gz * (pz - k)), gx, gy, gz
+
+
 @nb.njit(nogil=True, cache=True)
 def sample_many(field, points, distance, gradient):
     """Fill ``distance`` (n,) and ``gradient`` (n, 3) at ``points`` (n, 3)."""

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of a solution, whether it is good enough to be used, and both in plain words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsdf_registration import rigid
+from gsdf_registration.basins import Choice
+from gsdf_registration.confidence import Confidence
+from gsdf_registration.config import Config, LimitsConfig
+from gsdf_registration.field import Field
+from gsdf_registration.result import Reason, Refusal
+from gsdf_registration.rigid import Array
+from gsdf_registration.solver import Solution
+
+
+def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bool_], field: Field,
+             config: Config) -> dict[str, Any]:
+    """
+    Return what is known of a solution, as the fields of a `RegistrationResult`.
+
+    Parameters
+    ----------
+    choice : of the local solutions
+    confidence : of it; None if the points do not hold the pose
+    dense : (n,) bool, which of the points given were used
+
+    """
+    solution = choice.solution
+    T_tracker_bone = rigid.inverse(solution.T_bone_tracker)
+    inlier = solution.weights > 0.5
+    residuals, weights = np.full(len(dense), np.nan), np.zeros(len(dense))
+    residuals[dense], weights[dense] = choice.residuals, solution.weights
+    known: dict[str, Any] = {
+        'T_tracker_bone': T_tracker_bone, 'covariance': None, 'used': int(dense.sum()), 'inliers': int(inlier.sum()),
+        'sigma_m': solution.sigma, 'runner_up_ratio': choice.runner_up_ratio, 'iterations': solution.iterations,
+        'residual_rms_m': float(np.sqrt(np.mean(choice.residuals[inlier] ** 2))) if inlier.any() else None,
+        'residuals_m': residuals, 'weights': weights, 'history': solution.history}
+    if confidence is not None:
+        positions = np.reshape(config.landmarks.positions + config.targets.positions, (-1, 3))
+        named = dict(zip(config.landmarks.names + config.targets.names, positions))
+        surface = field.surface_points.astype(np.float64)
+        everywhere = confidence.predicted_tre(surface)
+        targets = confidence.predicted_tre(positions[len(config.landmarks.names):])
+        known |= {'covariance': confidence.pose_covariance(T_tracker_bone),
+                  'weakest_direction': confidence.weakest_direction(surface, named),
+                  'predicted_tre_m': {**dict(zip(config.targets.names, targets.tolist())),
+                                      'rms': float(np.sqrt(np.mean(everywhere**2))), 'max': float(everywhere.max())}}
+    return known
+
+
+def judge(known: dict[str, Any], solution: Solution, points: Array, limits: LimitsConfig) -> Refusal | None:
+    """Return why a solution must not be used, or None if it may; ``points`` (n, 3) are those on strokes."""
+    inliers, used = known['inliers'], known['used']
+    extent = float(np.ptp(points[solution.weights > 0.5], axis=0).max()) if inliers else 0.0
+    if not solution.settled:
+        return Refusal(Reason.NOT_CONVERGED, f'no pose was settled on: {solution.termination}; '
+                       'touch more of the bone or start from landmarks')
+    if inliers < max(limits.min_inliers * used, limits.min_points):
+        return Refusal(Reason.TOO_FEW_INLIERS, f'only {inliers} of {used} points lie on the bone; '
+                       'check that this is the bone and the probe is the one calibrated')
+    if solution.sigma > limits.max_sigma:
+        return Refusal(Reason.MODEL_MISMATCH, f'the points scatter {length(solution.sigma)} about the bone, more than any tracker does; '
+                       'check that this is the bone')
+    if extent < limits.min_extent:
+        return Refusal(Reason.REGION_TOO_SMALL, f'the points on the bone span only {length(extent)}, {length(limits.min_extent)} are '
+                       'needed; drag the probe over more of the bone')
+    if known['covariance'] is None:
+        return Refusal(Reason.UNDER_CONSTRAINED, 'the points do not hold the pose; touch other sides of the bone')
+    ratio = known['runner_up_ratio']
+    if ratio is not None and ratio < limits.min_runner_up_ratio:
+        return Refusal(Reason.AMBIGUOUS, f'another pose fits nearly as well (its cost is only {ratio:.2f} times as high); '
+                       'touch a part of the bone that looks different, or start from landmarks')
+    return None
+
+
+def summary(known: dict[str, Any]) -> str:
+    """Return one plain sentence on a pose that may be used."""
+    return (f'registered on {known["inliers"]} of {known["used"]} points; expected error '
+            f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone; {known["weakest_direction"].sentence}')
+
+
+def length(metres: float) -> str:
+    """Return a length in the unit that suits it."""
+    return f'{metres:.3g} m' if metres >= 1.0 else f'{1e3 * metres:.3g} mm'

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The pose with no first guess, and the other poses that fit nearly as well.
+
+Many starts, each pulled in by a few Gauss-Newton steps of ever narrower Cauchy weights, on few points and the coarse field at first; only the
+best go on to more points and the fine field.  Rotations from the super-Fibonacci spiral (Alexa, CVPR 2022), places spread over the surface.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Callable
+
+import numba as nb
+import numpy as np
+
+from gsdf_registration import rigid
+from gsdf_registration.config import SearchConfig
+from gsdf_registration.density import spread_sample, thinned
+from gsdf_registration.field import Field
+from gsdf_registration.field.sample import sample, sample_coarse
+from gsdf_registration.rigid import Array
+from gsdf_registration.solver.gauss_newton import kernel, solve_cholesky, update
+
+CHUNK = 64      # candidates a task: small enough to share evenly and to stop soon
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One sieve: the points used, the Cauchy scale of each step (share of the reach), and how many pass."""
+
+    points: int
+    scales: tuple[float, ...]
+    coarse: bool
+    survivors: int
+
+
+STAGES = (Stage(50, (1.0, 1.0, 0.75, 0.5), True, 800),
+          Stage(150, (0.5, 0.4, 0.3, 0.25, 0.2, 0.2), True, 60),
+          Stage(300, (0.2, 0.15, 0.15, 0.1, 0.1, 0.075, 0.075, 0.075), False, 20))
+
+
+def find_basins(points: Array, field: Field, config: SearchConfig, T_bone_tracker: Array | None = None,
+                cancelled: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None) -> Array:
+    """
+    Return the distinct poses that fit, best first.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, tracker frame, on strokes
+    field : of the bone
+    config : SearchConfig
+    T_bone_tracker : (4, 4) float, a first guess to look around; None: everywhere
+    cancelled, progress : as in `register`
+
+    Returns
+    -------
+    (m, 4, 4) float, T_bone_tracker each; empty if cancelled
+
+    """
+    points = points[thinned(points, config.spacing)]
+    points = points[spread_sample(points, STAGES[-1].points)]
+    centre = points.mean(axis=0)
+    R, t = (everywhere(field, config) if T_bone_tracker is None
+            else around(T_bone_tracker, centre, config))
+    centred = np.ascontiguousarray(points - centre)
+    workers = config.threads or os.cpu_count() or 1
+    with ThreadPoolExecutor(workers) as pool:
+        for i, stage in enumerate(STAGES):
+            scales = config.reach * np.array(stage.scales)
+            cost = np.full(len(R), np.inf)
+            # each candidate is refined for itself, so the threads cannot change the answer
+            work = [pool.submit(_refine, field.arrays, stage.coarse, centred[:stage.points], R[k:k + CHUNK], t[k:k + CHUNK],
+                                scales, cost[k:k + CHUNK]) for k in range(0, len(R), CHUNK)]
+            for k, done in enumerate(work):
+                done.result()
+                if cancelled is not None and cancelled():
+                    pool.shutdown(cancel_futures=True)
+                    return np.empty((0, 4, 4))
+                if progress is not None:
+                    progress((i + (k + 1) / len(work)) / len(STAGES))
+            best = np.argsort(cost, kind='stable')
+            best = best[distinct(R[best], t[best], centred[:50], config.spacing, stage.survivors)]
+            R, t = np.ascontiguousarray(R[best]), np.ascontiguousarray(t[best])
+    return np.array([rigid.from_rt(A, b - A @ centre) for A, b in zip(R, t)])
+
+
+def everywhere(field: Field, config: SearchConfig) -> tuple[Array, Array]:
+    """Return starts (m, 3, 3) and (m, 3): every rotation at every place, the points' centroid put on the surface."""
+    surface = field.surface_points.astype(np.float64)
+    places = surface[spread_sample(surface, config.places)]
+    rotations = super_fibonacci(config.rotations)
+    return np.repeat(rotations, len(places), axis=0), np.tile(places, (len(rotations), 1))
+
+
+def around(T_bone_tracker: Array, centre: Array, config: SearchConfig) -> tuple[Array, Array]:
+    """Return starts turned about the centroid by up to some 30 degrees from a first guess; the guess comes first."""
+    axes = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
+    axes = axes[np.abs(axes).sum(axis=1) > 0]
+    turns = [np.zeros(3)] + [math.radians(angle) * a / np.linalg.norm(a) for angle in (10.0, 20.0, 30.0) for a in axes]
+    R = np.array([rigid.rotation_exp(turn) @ T_bone_tracker[:3, :3] for turn in turns])
+    return R, np.tile(rigid.transform(T_bone_tracker, centre), (len(R), 1))
+
+
+def super_fibonacci(count: int) -> Array:
+    """Return ``count`` rotations (count, 3, 3) spread evenly over SO(3) (Alexa, CVPR 2022)."""
+    phi, psi = math.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    r, q = np.sqrt(s / count), np.sqrt(1.0 - s / count)
+    alpha, beta = 2.0 * np.pi * s / phi, 2.0 * np.pi * s / psi
+    quaternions = np.stack([r * np.sin(alpha), r * np.cos(alpha), q * np.sin(beta), q * np.cos(beta)], axis=1)
+    return np.array([rigid.rotation_from_quaternion(x) for x in quaternions])
+
+
+def distinct(R: Array, t: Array, points: Array, separation: float, count: int) -> list[int]:
+    """Return the first ``count`` poses that move the points (n, 3) apart by ``separation`` (RMS) or more, in order."""
+    # the RMS distance between two poses over the points is a norm of [R, t]: embed them, then compare
+    _, spread, axes = np.linalg.svd(points, full_matrices=False)
+    embedded = np.concatenate([(R @ (axes.T * spread / math.sqrt(len(points)))).reshape(len(R), -1), t], axis=1)
+    chosen: list[int] = []
+    taken = np.zeros(len(R), dtype=bool)
+    for i in range(len(R)):
+        if taken[i]:
+            continue
+        chosen.append(i)
+        if len(chosen) == count:
+            break
+        taken |= ((embedded - embedded[i]) ** 2).sum(axis=1) < separation**2
+    return chosen
+
+
+@kernel
+def _refine(field, coarse, points, R, t, scales, cost):
+    """
+    Pull in each candidate by one Gauss-Newton step a Cauchy scale; ``cost``: its mean e^2 / (e^2 + c^2) then.
+
+    That cost (Geman and McClure) levels off at one: a point far away counts once, not by its distance.
+    """
+    A = np.zeros((6, 6))
+    b = np.zeros(6)
+    dx = np.zeros(6)
+    for q in range(len(R)):
+        for s in range(len(scales)):
+            _normal_equations(field, coarse, points, R[q], t[q], scales[s] ** 2, A, b)
+            for i in range(6):
+                A[i, i] *= 1.001    # so that a patch of a sphere slides no farther than it must
+            if not solve_cholesky(A, b, dx):
+                break
+            turn = math.sqrt(dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2])
+            if turn > 0.5:
+                dx *= 0.5 / turn
+            update(R[q], t[q], dx)
+        cost[q] = _cost(field, coarse, points, R[q], t[q], scales[-1] ** 2)
+
+
+@nb.njit(nogil=True, cache=True, forceinline=True)
+def _at(field, coarse, x, y, z):
+    if coarse:
+        return sample_coarse(field, x, y, z)
+    d, gx, gy, gz = sample(field, x, y, z)
+    return d, np.float32(gx), np.float32(gy), np.float32(gz)
+
+
+@kernel
+def _normal_equations(field, coarse, points, R, t, c2, A, b):
+    """Fill A (lower triangle) and b with Cauchy weights of scale^2 ``c2`` (equations 5, 6 and 13)."""
+    A[:] = 0.0
+    b[:] = 0.0
+    J = np.zeros(6)
+    for k in range(len(points)):
+        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
+        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
+        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
+        d, gx, gy, gz = _at(field, coarse, x + t[0], y + t[1], z + t[2])
+        w = c2 / (c2 + d * d)
+        J[0], J[1], J[2] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+        J[3], J[4], J[5] = gx, gy, gz
+        for i in range(6):
+            wj = w * J[i]
+            b[i] -= wj * d
+            for j in range(i + 1):
+                A[i, j] += wj * J[j]
+
+
+@kernel
+def _cost(field, coarse, points, R, t, c2):
+    """Return the mean Geman-McClure cost of the points."""
+    total = 0.0
+    for k in range(len(points)):
+        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
+        d, _, _, _ = _at(field, coarse, R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0],
+                         R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1],
+                         R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2])
+        total += d * d / (d * d + c2)
+    return total / len(points)

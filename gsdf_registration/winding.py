@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The generalized winding number of a triangle mesh, with or without holes (Jacobson et al., SIGGRAPH 2013)."""
+
+from __future__ import annotations
+
+import math
+
+import numba as nb
+import numpy as np
+
+from gsdf_registration.rigid import Array
+
+
+def winding_numbers(vertices: Array, faces: np.ndarray, points: Array) -> Array:
+    """
+    Return how often the mesh goes round each point: 1 inside, 0 outside a closed mesh wound outward, between them near holes.
+
+    On a face it is the mean of both sides.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    faces : (m, 3) int64
+    points : (k, 3) float64
+
+    Returns
+    -------
+    (k,) float64
+
+    """
+    return _winding_numbers(vertices, faces, points)
+
+
+@nb.njit(nogil=True, cache=True)
+def _winding_numbers(vertices, faces, points):
+    total = np.zeros(len(points))
+    for p in range(len(points)):
+        x, y, z = points[p]
+        angle = 0.0
+        for f in range(len(faces)):
+            i, j, k = faces[f]
+            ax, ay, az = vertices[i, 0] - x, vertices[i, 1] - y, vertices[i, 2] - z
+            bx, by, bz = vertices[j, 0] - x, vertices[j, 1] - y, vertices[j, 2] - z
+            cx, cy, cz = vertices[k, 0] - x, vertices[k, 1] - y, vertices[k, 2] - z
+            a = math.sqrt(ax * ax + ay * ay + az * az)
+            b = math.sqrt(bx * bx + by * by + bz * bz)
+            c = math.sqrt(cx * cx + cy * cy + cz * cz)
+            volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+            ab = ax * bx + ay * by + az * bz
+            bc = bx * cx + by * cy + bz * cz
+            ca = cx * ax + cy * ay + cz * az
+            # half the solid angle (van Oosterom & Strackee 1983); none in the plane of the face
+            if abs(volume) > 1e-9 * a * b * c:
+                angle += math.atan2(volume, a * b * c + ab * c + bc * a + ca * b)
+        total[p] = angle / (2.0 * math.pi)
+    return total
