@@ -33,7 +33,9 @@ class Choice:
 
 def choose(solutions: Sequence[Solution], points: Array, field: Field, config: SolverConfig) -> Choice:
     """
-    Return the solution of least cost, sum e^2 / (e^2 + c^2) over all points (Geman and McClure), c the Cauchy scale.
+    Return the solution of the highest score, and how near the others come in cost.
+
+    The cost is Geman and McClure's, sum e^2 / (e^2 + c^2) over all points with c the Cauchy scale: far points count once.
 
     Parameters
     ----------
@@ -44,7 +46,7 @@ def choose(solutions: Sequence[Solution], points: Array, field: Field, config: S
     placed = [rigid.transform(solution.T_bone_tracker, points) for solution in solutions]
     residuals = [field.sample(x)[0] for x in placed]
     cost = np.array([(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals])
-    best = int(np.argmin(cost))
+    best = int(np.argmax([solution.score for solution in solutions]))
     elsewhere = [c for c, x in zip(cost, placed)
                  if np.sqrt(((x - placed[best]) ** 2).sum(axis=1).mean()) > APART]
     ratio = float(min(elsewhere) / max(cost[best], 1e-12)) if elsewhere else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bone as it is searched for: one clean, outward-oriented surface, made from whatever a segmentation left behind."""
+"""The bone to look for: one clean, outward-oriented surface, made of whatever a segmentation left behind."""
 
 from __future__ import annotations
 
@@ -86,7 +86,8 @@ def make_bone(vertices: Array, faces: np.ndarray | None = None, normals: Array |
     elif normals is not None:
         bone = _bone_of_cloud(vertices, _checked(normals, 'normals'))
     else:
-        raise InputError('the model has neither faces nor normals; give a triangle mesh or a point cloud with normals')
+        raise InputError('the model has neither faces nor normals; '
+                         'give a triangle mesh or a point cloud with normals')
     _check_size(bone.vertices)
     if bone.notes:
         _log.warning('the bone model was repaired: %s', ' '.join(bone.notes))
@@ -112,10 +113,12 @@ def _bone_of_mesh(vertices: Array, faces: np.ndarray) -> Bone:
 def _bone_of_cloud(points: Array, normals: Array) -> Bone:
     """Check the normals of a cloud and drop repeated points."""
     if normals.shape != points.shape:
-        raise InputError(f'the model has {len(points)} points but {len(normals)} normals; give one normal a point')
+        raise InputError(f'the model has {len(points)} points but {len(normals)} normals; '
+                         'give one normal a point')
     length = np.linalg.norm(normals, axis=1)
     if (length < 1e-6).any():
-        raise InputError(f'normal {int(length.argmin())} of the model has no length; estimate the normals again')
+        raise InputError(f'normal {int(length.argmin())} of the model has no length; '
+                         'estimate the normals again')
     notes = []
     if np.abs(length - 1.0).max() > 1e-3:
         notes.append('The normals were scaled to unit length.')
@@ -130,7 +133,8 @@ def _checked(array: Array, what: str) -> Array:
     """Return ``array`` as finite (n, 3) float64."""
     array = np.ascontiguousarray(array, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError(f'the {what} of the model must be rows of three numbers, not an array of shape {array.shape}')
+        raise InputError(f'the {what} of the model must be rows of three numbers, '
+                         f'not an array of shape {array.shape}')
     bad = ~np.isfinite(array).all(axis=1)
     if bad.any():
         raise InputError(f'{int(bad.sum())} of the {what} of the model are not finite, the first in row '
@@ -155,5 +159,6 @@ def _check_size(vertices: Array) -> None:
     extent = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         given, meant = ('mm', 'm') if extent < SMALLEST else ('m', 'mm')
-        raise InputError(f'the model reads as {extent * 1e3:.4g} mm large, but a bone is {SMALLEST * 1e3:.0f} mm to '
-                         f'{LARGEST:.0f} m: its unit is probably {meant}, not {given}', Reason.WRONG_UNIT)
+        raise InputError(f'the model reads as {extent * 1e3:.4g} mm large, but a bone is '
+                         f'{SMALLEST * 1e3:.0f} mm to {LARGEST:.0f} m: its unit is probably '
+                         f'{meant}, not {given}', Reason.WRONG_UNIT)

@@ -16,7 +16,7 @@ import numpy as np
 from gsdf_registration import rigid
 from gsdf_registration.result import WeakestDirection
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import Solution
+from gsdf_registration.solver import Solution, nearest_neighbours
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,12 @@ class Confidence:
 
     motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone axes
     centre : (3,) float, m, bone frame: the centroid of the points
+    sigma : float, m, noise of a point along the surface normal
     """
 
     motion_covariance: Array
     centre: Array
+    sigma: float
 
     def predicted_tre(self, targets: Array) -> Array:
         """Return the predicted TRE (RMS, m) at each of ``targets`` (n, 3), m, bone frame; shape (n,)."""
@@ -76,31 +78,37 @@ def motion_at(arms: Array) -> Array:
     return B
 
 
-def assess(solution: Solution, centre: Array) -> Confidence | None:
+def assess(solution: Solution, points: Array, neighbours: int) -> Confidence | None:
     """
     Return the confidence of a solution, or None if its points do not hold the pose.
 
-    The covariance of an M-estimate (Huber 1981, section 6.3), H^-1 S H^-1 with H = sum psi' J J^T and S = sum psi^2 J J^T, psi = w e;
-    for plain least squares the Cramer-Rao bound sigma^2 (J^T J)^-1.
+    The covariance of an M-estimate (Huber 1981, section 6.3), tau sigma^2 H^-1 (sum w J J^T) H^-1 with H = sum psi' J J^T, psi = w e;
+    for plain least squares the Cramer-Rao bound sigma^2 (J^T J)^-1.  tau >= 1 is how much more the residuals of neighbours vary together
+    than white noise would: the error of a model is the same over a stretch, and a hundred points there tell it no better than one.
 
     Parameters
     ----------
     solution : of a solver
-    centre : (3,) float, metres, bone frame, the centroid of the points at the solution
+    points : (n, 3) float, metres, tracker frame, its points
+    neighbours : of a point, over which residuals are averaged
 
     """
     used = solution.weights > 0.0
-    J, w = solution.jacobian[used], solution.weights[used]
-    # Positive curvature only: a point beyond the bend of its kernel says nothing about the pose
+    J, w, e = solution.jacobian[used], solution.weights[used], solution.residuals[used]
+    if w.sum() < 6.0:
+        return None
     H = (J.T * np.clip(solution.curvature[used], 0.0, None)) @ J
-    # Mean of psi^2 instead of each one's own: with few points the sandwich would believe its own residuals
-    psi2 = float(np.sum((w * solution.residuals[used]) ** 2) / max(np.sum(w), 1e-300))
-    S = psi2 * (J.T * w) @ J
     scale = np.sqrt(np.diag(H))
     if not np.all(scale > 0.0) or np.linalg.cond(H / np.outer(scale, scale)) > 1e10:
         return None
+    variance = float((w * e**2).sum() / w.sum())
+    near = nearest_neighbours(points[used], neighbours)
+    mean = (w * e)[near].sum(axis=1) / np.maximum(w[near].sum(axis=1), 1e-9)
+    together = near.shape[1] * float((w * mean**2).sum() / w.sum()) / max(variance, 1e-300)
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
-    return Confidence(H_inverse @ S @ H_inverse, np.asarray(centre))
+    C = max(1.0, together) * variance * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
+    centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
+    return Confidence(C, centre, float(np.sqrt(variance)))
 
 
 def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str, Array]) -> WeakestDirection:

@@ -87,8 +87,9 @@ class LandmarksConfig:
 class SearchConfig:
     """The global search for a first guess."""
 
-    rotations: int = _setting(500, 'attitudes tried', '', 1, 100_000)
+    rotations: int = _setting(300, 'attitudes tried', '', 1, 100_000)
     places: int = _setting(30, 'places on the bone tried for each of them', '', 1, 10_000)
+    parts: int = _setting(3, 'parts of the points that are also tried alone', '', 0, 100)
     reach: float = _setting(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
     radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm', 1e-4, 0.1)
     spacing: float = _setting(0.002, 'points nearer to one another than this count as one in the search', 'm', 1e-5, 0.1)
@@ -100,15 +101,18 @@ class SearchConfig:
 class SolverConfig:
     """The estimate of the pose from a first guess."""
 
-    method: str = _setting('paper', 'how the pose is estimated', choices=('paper',))
-    cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
-                                   1e-5, 0.1)
-    discard_below: float = _setting(0.1, 'a point of less weight is discarded (delta of Algorithm 1)',
-                                    '', 0.0, 1.0)
-    weight_tolerance: float = _setting(1e-3, 'IRLS ends when the weights move less (epsilon of Algorithm 1),'
-                                       ' root mean square', '', 1e-12, 1.0)
-    max_iterations: int = _setting(200, 'Gauss-Newton steps at most in all', '', 1, 100_000)
-    hold: int = _setting(2, 'the end must be met this many times in a row', '', 1, 100)
+    method: str = _setting('mixture', 'how the pose is estimated: mixture, or the published method',
+                           choices=('mixture', 'paper'))
+    max_iterations: int = _setting(200, 'Gauss-Newton steps at most', '', 1, 100_000)
+    neighbours: int = _setting(16, 'mixture: points whose mean residual tells bone from interference', '', 2, 1000)
+    reach: float = _setting(0.006, 'mixture: interference is reckoned with this far from the bone', 'm', 1e-4, 0.1)
+    model_error: float = _setting(0.0003, 'mixture: how far the model may be off over a stretch', 'm', 0.0, 0.01)
+    tolerance: float = _setting(1e-6, 'mixture: a shorter step is the last', 'm', 1e-15, 1e-3)
+    cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm', 1e-5, 0.1)
+    discard_below: float = _setting(0.1, 'paper: a point of less weight is discarded (delta of Algorithm 1)', '', 0.0, 1.0)
+    weight_tolerance: float = _setting(1e-3, 'paper: IRLS ends when the weights move less, root mean square (epsilon of '
+                                       'Algorithm 1)', '', 1e-12, 1.0)
+    hold: int = _setting(2, 'paper: the end must be met this many times in a row', '', 1, 100)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bo
     residuals[dense], weights[dense] = choice.residuals, solution.weights
     known: dict[str, Any] = {
         'T_tracker_bone': T_tracker_bone, 'covariance': None, 'used': int(dense.sum()), 'inliers': int(inlier.sum()),
-        'sigma_m': solution.sigma, 'runner_up_ratio': choice.runner_up_ratio, 'iterations': solution.iterations,
+        'runner_up_ratio': choice.runner_up_ratio, 'iterations': solution.iterations,
         'residual_rms_m': float(np.sqrt(np.mean(choice.residuals[inlier] ** 2))) if inlier.any() else None,
         'residuals_m': residuals, 'weights': weights, 'history': solution.history}
     if confidence is not None:
@@ -46,7 +46,7 @@ def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bo
         surface = field.surface_points.astype(np.float64)
         everywhere = confidence.predicted_tre(surface)
         targets = confidence.predicted_tre(positions[len(config.landmarks.names):])
-        known |= {'covariance': confidence.pose_covariance(T_tracker_bone),
+        known |= {'sigma_m': confidence.sigma, 'covariance': confidence.pose_covariance(T_tracker_bone),
                   'weakest_direction': confidence.weakest_direction(surface, named),
                   'predicted_tre_m': {**dict(zip(config.targets.names, targets.tolist())),
                                       'rms': float(np.sqrt(np.mean(everywhere**2))), 'max': float(everywhere.max())}}
@@ -63,14 +63,14 @@ def judge(known: dict[str, Any], solution: Solution, points: Array, limits: Limi
     if inliers < max(limits.min_inliers * used, limits.min_points):
         return Refusal(Reason.TOO_FEW_INLIERS, f'only {inliers} of {used} points lie on the bone; '
                        'check that this is the bone and the probe is the one calibrated')
-    if solution.sigma > limits.max_sigma:
-        return Refusal(Reason.MODEL_MISMATCH, f'the points scatter {length(solution.sigma)} about the bone, more than any tracker does; '
-                       'check that this is the bone')
     if extent < limits.min_extent:
         return Refusal(Reason.REGION_TOO_SMALL, f'the points on the bone span only {length(extent)}, {length(limits.min_extent)} are '
                        'needed; drag the probe over more of the bone')
     if known['covariance'] is None:
         return Refusal(Reason.UNDER_CONSTRAINED, 'the points do not hold the pose; touch other sides of the bone')
+    if known['sigma_m'] > limits.max_sigma:
+        return Refusal(Reason.MODEL_MISMATCH, f'the points scatter {length(known["sigma_m"])} about the bone, more than any tracker does; '
+                       'check that this is the bone')
     ratio = known['runner_up_ratio']
     if ratio is not None and ratio < limits.min_runner_up_ratio:
         return Refusal(Reason.AMBIGUOUS, f'another pose fits nearly as well (its cost is only {ratio:.2f} times as high); '

@@ -2,8 +2,9 @@
 """
 What segmentation and export do to a mesh, undone.
 
-Every step takes ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int64 and appends a sentence to ``notes`` if it had to change anything.
-Bodies are the sets of faces connected over shared edges, numbered in ``bodies`` (m,).
+Every step takes ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int64 and appends a sentence to
+``notes`` if it had to change anything. Bodies are the sets of faces connected over shared edges, numbered
+in ``bodies`` (m,).
 """
 
 from __future__ import annotations
@@ -70,8 +71,9 @@ def wind_consistently(faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, 
     """
     Wind the faces of each body alike and return them with their ``bodies``.
 
-    Each face is taken twice, as it is and flipped; across every edge of just two faces the windings that agree are joined.  The
-    set of windings that hangs together with the first face as it is, is a consistent one; there is no order to walk in.
+    Each face is taken twice, as it is and flipped; across every edge of just two faces the windings that
+    agree are joined.  The set of windings that hangs together with the first face as it is, is a
+    consistent one; there is no order to walk in.
     """
     pairs, agree = _neighbours(faces)
     m = len(faces)
@@ -105,8 +107,8 @@ def orient_outward(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes
     """
     Turn the bodies that are inside out.
 
-    On a face the winding number of a body is the mean of both sides: about +1/2 if the face looks outward, -1/2 if inward, and nearly
-    so if there are holes (Jacobson et al., SIGGRAPH 2013).
+    On a face the winding number of a body is the mean of both sides: about +1/2 if the face looks
+    outward, -1/2 if inward, and nearly so if there are holes (Jacobson et al., SIGGRAPH 2013).
     """
     turned = 0
     faces = faces.copy()
@@ -124,7 +126,7 @@ def orient_outward(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes
 
 
 def outer_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Return which faces (m,) belong to bodies not wholly inside another one, where no probe can go (a marrow canal)."""
+    """Return which faces (m,) are not of a body wholly inside another one, where no probe can go."""
     names = np.unique(bodies)
     inner = []
     for body in names if len(names) > 1 else ():
@@ -146,7 +148,7 @@ def areas(vertices: Array, faces: np.ndarray) -> Array:
 
 
 def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pairs (p, 2) of faces that share an edge with no third one, and whether they are wound alike (p,)."""
+    """Return the pairs (p, 2) of faces that alone share an edge, and whether they are wound alike (p,)."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
     order = np.argsort(key, kind='stable')

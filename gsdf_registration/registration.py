@@ -64,15 +64,14 @@ def register(points: ArrayLike, field: Field, config: Config = Config(), *,
         # Points on strokes; the rest is strewn interference
         dense = on_strokes(points, config.search.radius)
         # Where the bone may be: round the guess, or anywhere
-        basins = find_basins(points[dense], field, config.search, guess, cancelled, progress)
-        if not len(basins):
-            raise Refusal(Reason.NOT_CONVERGED, 'the registration was cancelled; the points are kept')
+        basins = find_basins(points[dense], field, config.search, guess, cancelled, progress)[:config.search.solutions]
+        starts = basins if guess is None else [guess, *basins]
         clock.append(perf_counter())
         # The best of the local solutions, and the next-best elsewhere
-        choice = choose([solve(points[dense], field, T, config.solver, history) for T in basins[:config.search.solutions]],
+        choice = choose([solve(points[dense], field, T, config.solver, history) for T in starts],
                         points[dense], field, config.solver)
         # How good is it, and is that good enough?
-        confidence = assess(choice.solution, rigid.transform(choice.solution.T_bone_tracker, points[dense].mean(axis=0)))
+        confidence = assess(choice.solution, points[dense], config.solver.neighbours)
         known = describe(choice, confidence, dense, field, config)
         refusal = judge(known, choice.solution, points[dense], config.limits)
     except Refusal as bad:

@@ -2,8 +2,8 @@
 """
 The pose with no first guess, and the other poses that fit nearly as well.
 
-Many starts, each pulled in by a few Gauss-Newton steps of ever narrower Cauchy weights, on few points and the coarse field at first; only the
-best go on to more points and the fine field.  Rotations from the super-Fibonacci spiral (Alexa, CVPR 2022), places spread over the surface.
+Many starts, each pulled in by a few Gauss-Newton steps of ever narrower robust weights, on few points and the coarse field at first; only
+the best go on to more points and the fine field.  Rotations from the super-Fibonacci spiral (Alexa, CVPR 2022), places spread over the surface.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from gsdf_registration.config import SearchConfig
 from gsdf_registration.density import spread_sample, thinned
 from gsdf_registration.field import Field
 from gsdf_registration.field.sample import sample, sample_coarse
+from gsdf_registration.result import Reason, Refusal
 from gsdf_registration.rigid import Array
 from gsdf_registration.solver.gauss_newton import kernel, solve_cholesky, update
 
@@ -30,7 +31,7 @@ CHUNK = 64      # candidates a task: small enough to share evenly and to stop so
 
 @dataclass(frozen=True)
 class Stage:
-    """One sieve: the points used, the Cauchy scale of each step (share of the reach), and how many pass."""
+    """One sieve: the points used, the scale of each step (share of the reach), the field, and how many pass."""
 
     points: int
     scales: tuple[float, ...]
@@ -38,8 +39,8 @@ class Stage:
     survivors: int
 
 
-STAGES = (Stage(50, (1.0, 1.0, 0.75, 0.5), True, 800),
-          Stage(150, (0.5, 0.4, 0.3, 0.25, 0.2, 0.2), True, 60),
+FIRST = Stage(40, (1.0, 1.0, 0.75, 0.5), True, 400)
+STAGES = (Stage(150, (0.5, 0.4, 0.3, 0.25, 0.2, 0.2), True, 60),
           Stage(300, (0.2, 0.15, 0.15, 0.1, 0.1, 0.075, 0.075, 0.075), False, 20))
 
 
@@ -58,34 +59,72 @@ def find_basins(points: Array, field: Field, config: SearchConfig, T_bone_tracke
 
     Returns
     -------
-    (m, 4, 4) float, T_bone_tracker each; empty if cancelled
+    (m, 4, 4) float, T_bone_tracker each
+
+    Raises
+    ------
+    Refusal
+        If cancelled.
 
     """
     points = points[thinned(points, config.spacing)]
     points = points[spread_sample(points, STAGES[-1].points)]
     centre = points.mean(axis=0)
-    R, t = (everywhere(field, config) if T_bone_tracker is None
-            else around(T_bone_tracker, centre, config))
-    centred = np.ascontiguousarray(points - centre)
-    workers = config.threads or os.cpu_count() or 1
-    with ThreadPoolExecutor(workers) as pool:
-        for i, stage in enumerate(STAGES):
-            scales = config.reach * np.array(stage.scales)
-            cost = np.full(len(R), np.inf)
-            # each candidate is refined for itself, so the threads cannot change the answer
-            work = [pool.submit(_refine, field.arrays, stage.coarse, centred[:stage.points], R[k:k + CHUNK], t[k:k + CHUNK],
-                                scales, cost[k:k + CHUNK]) for k in range(0, len(R), CHUNK)]
-            for k, done in enumerate(work):
-                done.result()
-                if cancelled is not None and cancelled():
-                    pool.shutdown(cancel_futures=True)
-                    return np.empty((0, 4, 4))
-                if progress is not None:
-                    progress((i + (k + 1) / len(work)) / len(STAGES))
-            best = np.argsort(cost, kind='stable')
-            best = best[distinct(R[best], t[best], centred[:50], config.spacing, stage.survivors)]
-            R, t = np.ascontiguousarray(R[best]), np.ascontiguousarray(t[best])
+    points = points - centre
+    stages = len(STAGES) + (0 if T_bone_tracker is not None else 1 + config.parts)
+    with ThreadPoolExecutor(config.threads or os.cpu_count() or 1) as pool:
+        sieve = _Sieve(pool, field, config, cancelled, progress, stages)
+        if T_bone_tracker is None:
+            R, t = _first_sieve(sieve, points, *everywhere(field, config))
+        else:
+            R, t = around(T_bone_tracker, centre)
+        for stage in STAGES:
+            R, t = sieve(stage, points, R, t)
     return np.array([rigid.from_rt(A, b - A @ centre) for A, b in zip(R, t)])
+
+
+def _first_sieve(sieve: _Sieve, points: Array, R: Array, t: Array) -> tuple[Array, Array]:
+    """Sieve the starts by all points and by each part of them alone: strokes on something else must not carry the rest away."""
+    found = []
+    for part in [points, *parts(points, sieve.config.parts)]:
+        middle = part.mean(axis=0)
+        A, b = sieve(FIRST, part - middle, R, t)
+        found.append((A, b - A @ middle))
+    return np.concatenate([A for A, _ in found]), np.concatenate([b for _, b in found])
+
+
+def parts(points: Array, count: int) -> list[Array]:
+    """Return ``count`` overlapping parts of the points, each a ball that holds two fifths of them."""
+    return [points[np.argsort(((points - points[seed]) ** 2).sum(axis=1), kind='stable')[:max(2 * len(points) // 5, 20)]]
+            for seed in spread_sample(points, count)]
+
+
+class _Sieve:
+    """Refines candidates on all cores; each for itself, so that the threads cannot change the answer."""
+
+    def __init__(self, pool: ThreadPoolExecutor, field: Field, config: SearchConfig, cancelled: Callable[[], bool] | None,
+                 progress: Callable[[float], None] | None, stages: int) -> None:
+        self.pool, self.field, self.config = pool, field, config
+        self.cancelled, self.progress, self.stages, self.done = cancelled, progress, stages, 0
+
+    def __call__(self, stage: Stage, points: Array, R: Array, t: Array) -> tuple[Array, Array]:
+        """Return the distinct best of the candidates ``R`` (m, 3, 3), ``t`` (m, 3) after the stage, best first."""
+        R, t, cost = R.copy(), t.copy(), np.full(len(R), np.inf)
+        points = points[spread_sample(points, stage.points)]
+        scales = self.config.reach * np.array(stage.scales)
+        work = [self.pool.submit(_refine, self.field.arrays, stage.coarse, points, R[k:k + CHUNK], t[k:k + CHUNK], scales,
+                                 cost[k:k + CHUNK]) for k in range(0, len(R), CHUNK)]
+        for task in work:
+            task.result()
+            if self.cancelled is not None and self.cancelled():
+                self.pool.shutdown(cancel_futures=True)
+                raise Refusal(Reason.NOT_CONVERGED, 'the registration was cancelled; the points are kept')
+        self.done += 1
+        if self.progress is not None:
+            self.progress(self.done / self.stages)
+        best = np.argsort(cost, kind='stable')
+        best = best[distinct(R[best], t[best], points, self.config.spacing, stage.survivors)]
+        return R[best], t[best]
 
 
 def everywhere(field: Field, config: SearchConfig) -> tuple[Array, Array]:
@@ -96,7 +135,7 @@ def everywhere(field: Field, config: SearchConfig) -> tuple[Array, Array]:
     return np.repeat(rotations, len(places), axis=0), np.tile(places, (len(rotations), 1))
 
 
-def around(T_bone_tracker: Array, centre: Array, config: SearchConfig) -> tuple[Array, Array]:
+def around(T_bone_tracker: Array, centre: Array) -> tuple[Array, Array]:
     """Return starts turned about the centroid by up to some 30 degrees from a first guess; the guess comes first."""
     axes = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
     axes = axes[np.abs(axes).sum(axis=1) > 0]
@@ -135,7 +174,7 @@ def distinct(R: Array, t: Array, points: Array, separation: float, count: int) -
 @kernel
 def _refine(field, coarse, points, R, t, scales, cost):
     """
-    Pull in each candidate by one Gauss-Newton step a Cauchy scale; ``cost``: its mean e^2 / (e^2 + c^2) then.
+    Pull in each candidate by one Gauss-Newton step a scale; ``cost``: its mean e^2 / (e^2 + c^2) then.
 
     That cost (Geman and McClure) levels off at one: a point far away counts once, not by its distance.
     """
@@ -166,7 +205,7 @@ def _at(field, coarse, x, y, z):
 
 @kernel
 def _normal_equations(field, coarse, points, R, t, c2, A, b):
-    """Fill A (lower triangle) and b with Cauchy weights of scale^2 ``c2`` (equations 5, 6 and 13)."""
+    """Fill A (lower triangle) and b (equations 5 and 6) with Geman and McClure's weights of scale^2 ``c2``."""
     A[:] = 0.0
     b[:] = 0.0
     J = np.zeros(6)
@@ -176,7 +215,7 @@ def _normal_equations(field, coarse, points, R, t, c2, A, b):
         y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
         z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
         d, gx, gy, gz = _at(field, coarse, x + t[0], y + t[1], z + t[2])
-        w = c2 / (c2 + d * d)
+        w = (c2 / (c2 + d * d)) ** 2
         J[0], J[1], J[2] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
         J[3], J[4], J[5] = gx, gy, gz
         for i in range(6):

@@ -6,81 +6,84 @@ from __future__ import annotations
 import math
 
 import numba as nb
+import numpy as np
 
 from gsdf_registration.field.triangles import distance2, write_sample
 
+_compiled = nb.njit(nogil=True, cache=True)
+_inline = nb.njit(nogil=True, cache=True, forceinline=True)
 
-@nb.njit(nogil=True, cache=True)
-def mark_cells(tree, origin, edge, reach, distance, seed):
+
+@_compiled
+def mark_cells(tree, origin, edge, reach, distance):
     """
     Find the cells whose centre is within ``reach`` of a triangle.
 
-    ``distance`` (bx, by, bz) float64, as large as it may become in the beginning, is lowered to that of the centre; ``seed`` is set
-    to the triangle.
+    ``distance`` (bx, by, bz) float64, inf at first, is lowered to that of the centre.
     """
+    triangle, disc = tree.triangle, tree.disc
     bx, by, bz = distance.shape
-    for t in range(len(tree.triangle)):
-        x, y, z, r = tree.disc[t]
-        x -= origin[0]
-        y -= origin[1]
-        z -= origin[2]
-        grown = r + reach
-        for i in range(max(0, math.ceil((x - grown) / edge - 0.5)), min(bx, math.floor((x + grown) / edge + 0.5))):
-            dx = (i + 0.5) * edge
-            for j in range(max(0, math.ceil((y - grown) / edge - 0.5)), min(by, math.floor((y + grown) / edge + 0.5))):
-                dy = (j + 0.5) * edge
-                for k in range(max(0, math.ceil((z - grown) / edge - 0.5)), min(bz, math.floor((z + grown) / edge + 0.5))):
-                    dz = (k + 0.5) * edge
-                    limit = r + min(reach, distance[i, j, k])
-                    if (dx - x) ** 2 + (dy - y) ** 2 + (dz - z) ** 2 < limit * limit:
-                        d = math.sqrt(distance2(tree.triangle, t, origin[0] + dx, origin[1] + dy, origin[2] + dz))
-                        if d < distance[i, j, k] and d <= reach:
-                            distance[i, j, k] = d
-                            seed[i, j, k] = t
+    for t in range(len(triangle)):
+        grown = disc[t, 3] + reach
+        i0, i1 = _centres_between(disc[t, 0] - origin[0], grown, edge, bx)
+        j0, j1 = _centres_between(disc[t, 1] - origin[1], grown, edge, by)
+        k0, k1 = _centres_between(disc[t, 2] - origin[2], grown, edge, bz)
+        for i in range(i0, i1):
+            x = origin[0] + (i + 0.5) * edge
+            for j in range(j0, j1):
+                y = origin[1] + (j + 0.5) * edge
+                for k in range(k0, k1):
+                    z = origin[2] + (k + 0.5) * edge
+                    limit = disc[t, 3] + min(reach, distance[i, j, k])
+                    if ((x - disc[t, 0]) ** 2 + (y - disc[t, 1]) ** 2
+                            + (z - disc[t, 2]) ** 2 > limit * limit):
+                        continue
+                    d = math.sqrt(distance2(triangle, t, x, y, z))
+                    if d < distance[i, j, k] and d <= reach:
+                        distance[i, j, k] = d
 
 
-@nb.njit(nogil=True, cache=True, forceinline=True)
-def _offer(tree, t, i, j, k, origin, edge, nearest, distance2s):
-    """Take triangle ``t`` for node (i, j, k) if it is nearer than the one known."""
-    if t >= 0 and t != nearest[i, j, k]:
-        d2 = distance2(tree.triangle, t, origin[0] + i * edge, origin[1] + j * edge, origin[2] + k * edge)
-        if d2 < distance2s[i, j, k]:
-            distance2s[i, j, k] = d2
-            nearest[i, j, k] = t
+@_inline
+def _centres_between(x, radius, edge, n):
+    """Return the range of cells whose centres lie within ``radius`` of ``x`` along one axis."""
+    return max(0, math.ceil((x - radius) / edge - 0.5)), min(n, math.floor((x + radius) / edge + 0.5))
 
 
-@nb.njit(nogil=True, cache=True)
-def spread(tree, origin, edge, nearest, distance2s):
+@_compiled
+def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
     """
-    Spread the nearest triangles from the known nodes to all, by eight sweeps (a vector distance transform).
+    Spread the nearest triangles from the known nodes along ``axis``, there and back.
 
-    ``nearest`` (nx, ny, nz) int32, -1 where unknown, and ``distance2s``, inf there, are filled.
+    Lines ``first`` to before ``last`` of the next axis only: lines do not depend on each other.  ``nearest`` (nx, ny, nz)
+    int32, -1 where unknown, and ``distance2s`` float64, inf there, are filled once all axes had their turn.
     """
-    nx, ny, nz = nearest.shape
-    for direction in range(8):
-        si = 1 - 2 * (direction >> 2)
-        sj = 1 - 2 * (direction >> 1 & 1)
-        sk = 1 - 2 * (direction & 1)
-        for a in range(nx):
-            i = a if si > 0 else nx - 1 - a
-            for b in range(ny):
-                j = b if sj > 0 else ny - 1 - b
-                for c in range(nz):
-                    k = c if sk > 0 else nz - 1 - c
-                    if a > 0:
-                        _offer(tree, nearest[i - si, j, k], i, j, k, origin, edge, nearest, distance2s)
-                    if b > 0:
-                        _offer(tree, nearest[i, j - sj, k], i, j, k, origin, edge, nearest, distance2s)
-                    if c > 0:
-                        _offer(tree, nearest[i, j, k - sk], i, j, k, origin, edge, nearest, distance2s)
+    triangle = tree.triangle
+    at = np.empty(3, np.int64)
+    second, third = (axis + 1) % 3, (axis + 2) % 3
+    n = nearest.shape[axis]
+    for at[second] in range(first, last):
+        for at[third] in range(nearest.shape[third]):
+            for way in range(2):
+                t = -1
+                for s in range(n):
+                    at[axis] = s if way == 0 else n - 1 - s
+                    i, j, k = at[0], at[1], at[2]
+                    if t >= 0 and t != nearest[i, j, k]:
+                        d2 = distance2(triangle, t, origin[0] + i * edge, origin[1] + j * edge,
+                                       origin[2] + k * edge)
+                        if d2 < distance2s[i, j, k]:
+                            distance2s[i, j, k] = d2
+                            nearest[i, j, k] = t
+                    t = nearest[i, j, k]
 
 
-@nb.njit(nogil=True, cache=True)
+@_compiled
 def fill_coarse(tree, origin, edge, nearest, coarse):
-    """Fill ``coarse`` (nx ny nz, 4) float32 from the triangles in ``nearest``."""
+    """Fill ``coarse`` (nx ny nz, 4) float32 from the triangles in ``nearest`` (nx, ny, nz)."""
+    triangle, normal = tree.triangle, tree.normal
     nx, ny, nz = nearest.shape
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
-                write_sample(tree, nearest[i, j, k], origin[0] + i * edge, origin[1] + j * edge,
+                write_sample(triangle, normal, nearest[i, j, k], origin[0] + i * edge, origin[1] + j * edge,
                              origin[2] + k * edge, 1e-6 * edge, coarse, (i * ny + j) * nz + k)

@@ -22,7 +22,8 @@ class Field:
     bone_sha256 : hash of the bone it was built from
     bounds : (2, 3) float64, low and high corner of the surface
     surface_points, surface_normals : (k, 3) float32, an even sample of the surface, about one on 4 mm^2
-    vertices, faces : (n, 3) float32 and (m, 3) int32, the surface for drawing; no faces if it was a point cloud
+    vertices, faces : (n, 3) float32 and (m, 3) int32, the surface for drawing; no faces if it was a point
+        cloud
     notes : what was repaired in the bone, a sentence each
     """
 

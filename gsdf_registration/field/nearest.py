@@ -2,9 +2,11 @@
 """
 The triangle nearest to each fine node: the compiled loop where the build spends its time.
 
-The triangle nearest to any point of a ball lies within dmin + 2 R of its centre (dmin: distance of the centre to the surface, R: radius of the
-ball).  So the candidates of a block are gathered once, narrowed for every 2 x 2 x 2 of its nodes, and of those a node measures only
-the ones whose bounding disc is nearer than the best so far, some three to five.
+The triangle nearest to any point of a ball lies within dmin + 2 R of its centre (dmin: distance of the centre
+to the surface, R: radius of the ball).  So the candidates of a block are gathered once, narrowed for every group
+of its nodes by their bounding discs, and the rest is measured at all nodes of the group at a time, in the
+lanes of the vector unit.  These are single-precision distances within a few millimetres, good to a nanometre:
+they choose the triangle, from which the sample is then computed in double precision.
 """
 
 from __future__ import annotations
@@ -18,32 +20,90 @@ import numpy as np
 from gsdf_registration.field.sample import CELLS, NODES
 from gsdf_registration.field.triangles import distance2, write_sample
 
+LANES = 16      # nodes of a group, at most
+
 _f = np.float32
+_compiled = nb.njit(nogil=True, cache=True)
+_inline = nb.njit(nogil=True, cache=True, forceinline=True)
+_vector = nb.njit(nogil=True, cache=True, fastmath=True)
 
 
 class Candidates(NamedTuple):
     """
-    Scratch: triangles that may be nearest.
+    Triangles that may be nearest to a node of the block, with room for all; positions from the block's centre.
 
-    disc : (7, room) float32, centre (from that of the block), radius and normal of their bounding discs
     triangle : (room,) int32
-    bound : (room,) float32, lower bounds of squared distances
+    disc : (7, room) float32, centre, radius and normal of their bounding discs
+    corner : (room, 3) float32, corner a in the axes of the triangle
+    bound : (room,) float32, lower bounds of squared distances to a point
+    chosen : (room,) int32, the ones that may be nearest to a node of the group
     """
 
-    disc: np.ndarray
     triangle: np.ndarray
+    disc: np.ndarray
+    corner: np.ndarray
     bound: np.ndarray
+    chosen: np.ndarray
 
 
-@nb.njit(nogil=True, cache=True)
-def _scratch(room):
-    return Candidates(np.empty((7, room), np.float32), np.empty(room, np.int32), np.empty(room, np.float32))
+@_compiled
+def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest):
+    """
+    Fill the fine nodes of some blocks, but for those on their far faces that another block has too.
+
+    Parameters
+    ----------
+    tree : Tree
+    origin, voxel, block_of : as in `FieldArrays`
+    cells : (n, 3) int64, the coarse cells of the blocks
+    distances : (n,) float64, of their centres to the surface
+    nodes : (n * NODES**3, 4) float32, filled
+    nearest : (n, 2, 2, 2) int32, filled with the triangles nearest to the corners
+
+    """
+    room = len(tree.triangle)
+    near = Candidates(np.empty(room, np.int32), np.empty((7, room), np.float32), np.empty((room, 3), np.float32),
+                      np.empty(room, np.float32), np.empty(room, np.int32))
+    lanes = np.zeros(4 * LANES, np.float32)
+    best = np.zeros(LANES, np.int32)
+    centre = np.empty(3)
+    for b in range(len(cells)):
+        for a in range(3):
+            centre[a] = origin[a] + (cells[b, a] + 0.5) * CELLS * voxel
+        n = _gather(tree, centre, (distances[b] + math.sqrt(3.0) * CELLS * voxel) * (1.0 + 1e-6), near)
+        for o in range(8):      # the nodes that belong to this block, then those of the blocks beyond
+            oi, oj, ok = o >> 2, o >> 1 & 1, o & 1
+            if o > 0 and block_of[cells[b, 0] + oi, cells[b, 1] + oj, cells[b, 2] + ok] >= 0:
+                continue
+            step = 2 if o == 0 else CELLS
+            for j in range(CELLS * oj, CELLS + oj, step):
+                for k in range(CELLS * ok, CELLS + ok, step):
+                    _fill_group(tree, near, n, centre, voxel, CELLS * oi, j, k, CELLS + oi, min(j + step, CELLS + oj),
+                                min(k + step, CELLS + ok), lanes, best, b, nodes, nearest)
 
 
-@nb.njit(nogil=True, cache=True)
-def _gather(tree, x, y, z, radius, out):
-    """Put all triangles that may lie within ``radius`` of (x, y, z) into ``out`` and return their number."""
-    leaves = len(tree.start) - 1
+@_compiled
+def copy_far_faces(block_of, cells, blocks):
+    """Copy the far nodes of every block (n, NODES, NODES, NODES, 4) from the ones that have filled them."""
+    for b in range(len(cells)):
+        for i in range(NODES):
+            for j in range(NODES):
+                for k in range(NODES):
+                    if max(i, j, k) < CELLS:
+                        continue
+                    owner = block_of[cells[b, 0] + i // CELLS, cells[b, 1] + j // CELLS,
+                                     cells[b, 2] + k // CELLS]
+                    if owner >= 0:
+                        for a in range(4):
+                            blocks[b, i, j, k, a] = blocks[owner, i % CELLS, j % CELLS, k % CELLS, a]
+
+
+@_compiled
+def _gather(tree, centre, radius, near):
+    """Put all triangles that may lie within ``radius`` of ``centre`` into ``near`` and return their number."""
+    box, start, triangle, disc, axes = tree.box, tree.start, tree.triangle, tree.disc, tree.axes
+    candidate, near_disc, near_corner = near.triangle, near.disc, near.corner
+    leaves = len(start) - 1
     stack = np.empty(64, np.int64)
     stack[0] = 1
     top = 1
@@ -51,143 +111,145 @@ def _gather(tree, x, y, z, radius, out):
     while top > 0:
         top -= 1
         node = stack[top]
-        dx = max(tree.box[node, 0] - x, 0.0, x - tree.box[node, 3])
-        dy = max(tree.box[node, 1] - y, 0.0, y - tree.box[node, 4])
-        dz = max(tree.box[node, 2] - z, 0.0, z - tree.box[node, 5])
-        if dx * dx + dy * dy + dz * dz > radius * radius:
+        d2 = 0.0
+        for a in range(3):
+            d2 += max(box[node, a] - centre[a], 0.0, centre[a] - box[node, 3 + a]) ** 2
+        if d2 > radius * radius:
             continue
         if node < leaves:
             stack[top] = 2 * node + 1
             stack[top + 1] = 2 * node
             top += 2
             continue
-        for t in range(tree.start[node - leaves], tree.start[node - leaves + 1]):
-            dx = tree.disc[t, 0] - x
-            dy = tree.disc[t, 1] - y
-            dz = tree.disc[t, 2] - z
-            r = radius + tree.disc[t, 3]
-            if dx * dx + dy * dy + dz * dz <= r * r:
-                out.disc[0, n] = dx
-                out.disc[1, n] = dy
-                out.disc[2, n] = dz
-                out.disc[3, n] = tree.disc[t, 3]
+        for t in range(start[node - leaves], start[node - leaves + 1]):
+            x = disc[t, 0] - centre[0]
+            y = disc[t, 1] - centre[1]
+            z = disc[t, 2] - centre[2]
+            if x * x + y * y + z * z <= (radius + disc[t, 3]) ** 2:
+                candidate[n] = t
+                near_disc[0, n] = x
+                near_disc[1, n] = y
+                near_disc[2, n] = z
+                near_disc[3, n] = disc[t, 3]
+                x = triangle[t, 0] - centre[0]
+                y = triangle[t, 1] - centre[1]
+                z = triangle[t, 2] - centre[2]
                 for a in range(3):
-                    out.disc[4 + a, n] = tree.normal[t, 0, a]
-                out.triangle[n] = t
+                    near_disc[4 + a, n] = axes[t, 6 + a]
+                    near_corner[n, a] = (axes[t, 3 * a] * x + axes[t, 3 * a + 1] * y
+                                         + axes[t, 3 * a + 2] * z)
                 n += 1
     return n
 
 
-@nb.njit(nogil=True, cache=True, fastmath=True)
-def _disc_bounds(disc, n, x, y, z, bound):
-    """Fill ``bound`` (n,) with the squared distances from (x, y, z) to the discs; one vector loop."""
-    zero = _f(0.0)
-    for k in range(n):
-        dx = disc[0, k] - x
-        dy = disc[1, k] - y
-        dz = disc[2, k] - z
-        height = dx * disc[4, k] + dy * disc[5, k] + dz * disc[6, k]
-        side2 = dx * dx + dy * dy + dz * dz - height * height
-        beyond = np.sqrt(side2 if side2 > zero else zero) - disc[3, k]
-        beyond = beyond if beyond > zero else zero
-        bound[k] = height * height + beyond * beyond
-
-
-@nb.njit(nogil=True, cache=True, forceinline=True)
-def _nearest(tree, candidates, n, centre, x, y, z, guess):
-    """Return the candidate nearest to (x, y, z) and its squared distance; leaves all their bounds behind."""
-    _disc_bounds(candidates.disc, n, _f(x - centre[0]), _f(y - centre[1]), _f(z - centre[2]), candidates.bound)
-    best = distance2(tree.triangle, guess, x, y, z)
-    for c in range(n):
-        if candidates.bound[c] < best:
-            d2 = distance2(tree.triangle, candidates.triangle[c], x, y, z)
-            if d2 < best:
-                best = d2
-                guess = candidates.triangle[c]
-    return guess, best
-
-
-@nb.njit(nogil=True, cache=True, forceinline=True)
-def _narrow(candidates, n, limit, chosen, out):
-    """Put the candidates whose bound is at most ``limit`` into ``out`` and return their number; ``chosen``: scratch (room,)."""
-    m = 0
-    for c in range(n):      # written every time, counted if it fits: no branch to mispredict
-        chosen[m] = c
-        m += candidates.bound[c] <= limit
-    for a in range(7):
-        for c in range(m):
-            out.disc[a, c] = candidates.disc[a, chosen[c]]
-    for c in range(m):
-        out.triangle[c] = candidates.triangle[chosen[c]]
-    return m
-
-
-@nb.njit(nogil=True, cache=True)
-def fill_blocks(tree, origin, voxel, block_of, cells, seeds, distances, nodes, nearest):
-    """
-    Fill the fine nodes of some blocks, but for those on their far faces that belong to another block.
-
-    Parameters
-    ----------
-    tree : Tree
-    origin, voxel, block_of : as in `FieldArrays`
-    cells : (n, 3) int64, the coarse cells of the blocks
-    seeds, distances : (n,), the triangle nearest to the centre and its distance
-    nodes : (n * NODES**3, 4) float32, filled
-    nearest : (n, 2, 2, 2) int32, filled with the triangles nearest to the corners
-
-    """
-    near = _scratch(len(tree.triangle))
-    few = _scratch(len(tree.triangle))
-    chosen = np.empty(len(tree.triangle), np.int32)
-    centre = np.empty(3)
-    for b in range(len(cells)):
-        ci, cj, ck = cells[b]
-        for a in range(3):
-            centre[a] = origin[a] + (cells[b, a] + 0.5) * CELLS * voxel
-        radius = distances[b] + math.sqrt(3.0) * CELLS * voxel
-        n = _gather(tree, centre[0], centre[1], centre[2], radius * (1.0 + 1e-6), near)
-        last = seeds[b]
-        for g in range(27):     # pairs of nodes along each axis; the third is the one on the far face
-            gi, gj, gk = g // 9, g // 3 % 3, g % 3
-            if g > 0 and block_of[ci + gi // 2, cj + gj // 2, ck + gk // 2] >= 0 and (gi == 2 or gj == 2 or gk == 2):
-                continue
-            last = _fill_group(tree, near, n, few, chosen, centre, voxel, 2 * gi, 2 * gj, 2 * gk, last, b, nodes, nearest)
-
-
-@nb.njit(nogil=True, cache=True, forceinline=True)
-def _fill_group(tree, near, n, few, chosen, centre, voxel, i0, j0, k0, last, block, nodes, nearest):
-    """Fill the nodes of a block from (i0, j0, k0) on, two along an axis as far as there are; return the last triangle."""
-    first = block * NODES**3
-    i1, j1, k1 = min(i0 + 2, NODES), min(j0 + 2, NODES), min(k0 + 2, NODES)
-    half = 0.5 * (NODES - 1)
-    last, d2 = _nearest(tree, near, n, centre, centre[0] + (0.5 * (i0 + i1 - 1) - half) * voxel,
-                        centre[1] + (0.5 * (j0 + j1 - 1) - half) * voxel,
-                        centre[2] + (0.5 * (k0 + k1 - 1) - half) * voxel, last)
-    diagonal = voxel * math.sqrt((i1 - i0 - 1) ** 2 + (j1 - j0 - 1) ** 2 + (k1 - k0 - 1) ** 2)
-    m = _narrow(near, n, (math.sqrt(d2) + diagonal) ** 2 * (1.0 + 1e-5), chosen, few)
+@_inline
+def _fill_group(tree, near, n, centre, voxel, i0, j0, k0, i1, j1, k1, lanes, best, block, nodes, nearest):
+    """Fill the nodes of a block from (i0, j0, k0) to before (i1, j1, k1)."""
+    triangle, normal, candidate = tree.triangle, tree.normal, near.triangle
+    half = 0.5 * CELLS
+    lane = 0
     for i in range(i0, i1):
         for j in range(j0, j1):
             for k in range(k0, k1):
-                x = centre[0] + (i - half) * voxel
-                y = centre[1] + (j - half) * voxel
-                z = centre[2] + (k - half) * voxel
-                last, _ = _nearest(tree, few, m, centre, x, y, z, last)
-                write_sample(tree, last, x, y, z, 1e-6 * voxel, nodes, first + (i * NODES + j) * NODES + k)
+                lanes[lane] = (i - half) * voxel
+                lanes[LANES + lane] = (j - half) * voxel
+                lanes[2 * LANES + lane] = (k - half) * voxel
+                lane += 1
+    m = _narrow(tree, near, n, centre, (0.5 * (i0 + i1 - 1) - half) * voxel, (0.5 * (j0 + j1 - 1) - half) * voxel,
+                (0.5 * (k0 + k1 - 1) - half) * voxel,
+                voxel * math.sqrt((i1 - i0 - 1) ** 2 + (j1 - j0 - 1) ** 2 + (k1 - k0 - 1) ** 2))
+    _measure(tree.axes, near.triangle, near.corner, near.chosen, m, lanes, best)
+    lane = 0
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            for k in range(k0, k1):
+                t = candidate[best[lane]]
+                write_sample(triangle, normal, t, centre[0] + (i - half) * voxel, centre[1] + (j - half) * voxel,
+                             centre[2] + (k - half) * voxel, 1e-6 * voxel, nodes,
+                             ((block * NODES + i) * NODES + j) * NODES + k)
                 if i % CELLS == 0 and j % CELLS == 0 and k % CELLS == 0:
-                    nearest[block, i // CELLS, j // CELLS, k // CELLS] = last
-    return last
+                    nearest[block, i // CELLS, j // CELLS, k // CELLS] = t
+                lane += 1
 
 
-@nb.njit(nogil=True, cache=True)
-def copy_far_faces(block_of, cells, blocks):
-    """Copy the far nodes of every block from the blocks they belong to."""
-    for b in range(len(cells)):
-        ci, cj, ck = cells[b]
-        for i in range(NODES):
-            for j in range(NODES):
-                for k in range(NODES):
-                    if max(i, j, k) == CELLS:
-                        owner = block_of[ci + i // CELLS, cj + j // CELLS, ck + k // CELLS]
-                        if owner >= 0:
-                            blocks[b, i, j, k] = blocks[owner, i % CELLS, j % CELLS, k % CELLS]
+@_inline
+def _narrow(tree, near, n, centre, x, y, z, diagonal):
+    """Choose the candidates that may be nearest within half of ``diagonal`` of (x, y, z); return their number."""
+    _disc_bounds(near.disc, n, _f(x), _f(y), _f(z), near.bound)
+    bound, chosen = near.bound, near.chosen
+    least = 0
+    for c in range(n):
+        if bound[c] < bound[least]:
+            least = c
+    dmin = math.sqrt(distance2(tree.triangle, near.triangle[least], centre[0] + x, centre[1] + y, centre[2] + z))
+    limit = _f((dmin + diagonal) ** 2 * (1.0 + 1e-5))
+    m = 0
+    for c in range(n):      # written every time, counted if it fits: no branch to mispredict
+        chosen[m] = c
+        m += bound[c] <= limit
+    return m
+
+
+@_vector
+def _disc_bounds(disc, n, x, y, z, bound):
+    """Fill ``bound`` (n,) with the squared distances from (x, y, z) to the discs."""
+    zero = _f(0.0)
+    for c in range(n):
+        dx = disc[0, c] - x
+        dy = disc[1, c] - y
+        dz = disc[2, c] - z
+        height = dx * disc[4, c] + dy * disc[5, c] + dz * disc[6, c]
+        side2 = dx * dx + dy * dy + dz * dz - height * height
+        beyond = np.sqrt(side2 if side2 > zero else zero) - disc[3, c]
+        beyond = beyond if beyond > zero else zero
+        bound[c] = height * height + beyond * beyond
+
+
+@_vector
+def _measure(axes, triangle, corner, chosen, m, lanes, best):
+    """
+    Find the triangle nearest to the point in each lane.
+
+    In the axes of a triangle its corners are (0, 0), (b, 0) and (p, q), and the distance is that in the plane, to the
+    nearest edge or zero inside, and the height above it.
+
+    ``lanes`` (4 LANES,) float32: x, y, z and room for the distances; ``best`` (LANES,) is filled.
+    """
+    zero, one = _f(0.0), _f(1.0)
+    lanes[3 * LANES:] = np.inf
+    for c in range(m):
+        a = chosen[c]
+        t = triangle[a]
+        ux, uy, uz = axes[t, 0], axes[t, 1], axes[t, 2]
+        vx, vy, vz = axes[t, 3], axes[t, 4], axes[t, 5]
+        nx, ny, nz = axes[t, 6], axes[t, 7], axes[t, 8]
+        b, p, q, per_ac, per_bc = axes[t, 9], axes[t, 10], axes[t, 11], axes[t, 12], axes[t, 13]
+        u0, v0, n0 = corner[a, 0], corner[a, 1], corner[a, 2]
+        for i in range(LANES):
+            x, y, z = lanes[i], lanes[LANES + i], lanes[2 * LANES + i]
+            u = ux * x + uy * y + uz * z - u0
+            v = vx * x + vy * y + vz * z - v0
+            h = nx * x + ny * y + nz * z - n0
+            # edge ab
+            s = u if u > zero else zero
+            s = s if s < b else b
+            d2 = (u - s) * (u - s) + v * v
+            # edge ac
+            s = (u * p + v * q) * per_ac
+            s = s if s > zero else zero
+            s = s if s < one else one
+            e2 = (u - s * p) * (u - s * p) + (v - s * q) * (v - s * q)
+            d2 = e2 if e2 < d2 else d2
+            # edge bc
+            w = u - b
+            r = p - b
+            s = (w * r + v * q) * per_bc
+            s = s if s > zero else zero
+            s = s if s < one else one
+            e2 = (w - s * r) * (w - s * r) + (v - s * q) * (v - s * q)
+            d2 = e2 if e2 < d2 else d2
+            d2 = zero if (v > zero) & (q * u > p * v) & (q * w < r * v) else d2
+            d2 += h * h
+            nearer = d2 < lanes[3 * LANES + i]
+            lanes[3 * LANES + i] = d2 if nearer else lanes[3 * LANES + i]
+            best[i] = a if nearer else best[i]

@@ -15,7 +15,8 @@ def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:
     """
     Return the pseudonormals of every face: of itself, its edges ab, bc, ca and its corners a, b, c.
 
-    An edge's is the sum of the normals of all faces that share it, a corner's that of its faces weighted by their angle there.
+    An edge's is the sum of the normals of all faces that share it, a corner's that of its faces weighted
+    by their angle there.
 
     Parameters
     ----------
@@ -71,8 +72,7 @@ def _normals_and_angles(vertices, faces):
         area2 = math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
         for c in range(3):
             normal[f, c] = n[c] / area2
-            b = c - 1   # the edge that ends here
-            angle[f, c] = math.atan2(area2, -(edge[c, 0] * edge[b, 0] + edge[c, 1] * edge[b, 1] + edge[c, 2] * edge[b, 2]))
+            angle[f, c] = math.atan2(area2, -np.dot(edge[c], edge[c - 1]))
     return normal, angle
 
 

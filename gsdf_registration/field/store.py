@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A field as one file: magic, length of the header, header (JSON), arrays as they lie in memory (little-endian), checksum.
+A field as one file.
 
-The checksum is the CRC-32 of all before it.  No pickle, nothing is run on loading.
+Magic, length of the header, header (JSON), arrays as they lie in memory (little-endian), CRC-32 of all before
+it.  No pickle: nothing is run on loading.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from gsdf_registration.result import InputError
 
 MAGIC = b'GSDF\r\n\x1a\n'     # as PNG's: a file mangled as text is noticed at once
 VERSION = 1
-ALIGNMENT = 64                  # of the first array: what is loaded must look to the kernels like what was built
-_DTYPES = {'block_of': '<i4', 'nodes': '<f4', 'surface_points': '<f4', 'surface_normals': '<f4', 'vertices': '<f4', 'faces': '<i4'}
+ALIGNMENT = 64                  # of the first array: loaded ones run through the same kernels as built ones
+_DTYPES = {'block_of': '<i4', 'nodes': '<f4', 'surface_points': '<f4', 'surface_normals': '<f4',
+           'vertices': '<f4', 'faces': '<i4'}
 
 
 def save_field(field: Field, path: str | os.PathLike[str]) -> None:
@@ -39,11 +41,13 @@ def save_field(field: Field, path: str | os.PathLike[str]) -> None:
 
     """
     path = Path(path)
-    arrays = {name: np.ascontiguousarray(array, dtype=_DTYPES[name]) for name, array in _arrays(field).items()}
+    arrays = {name: np.ascontiguousarray(array, dtype=_DTYPES[name])
+              for name, array in _arrays(field).items()}
     header = json.dumps({
         'version': VERSION, 'voxel_size': field.voxel_size, 'origin': field.arrays.origin.tolist(),
-        'first_coarse': field.arrays.first_coarse, 'bounds': field.bounds.tolist(), 'bone_sha256': field.bone_sha256,
-        'notes': list(field.notes), 'shapes': {name: array.shape for name, array in arrays.items()}}).encode()
+        'first_coarse': field.arrays.first_coarse, 'bounds': field.bounds.tolist(),
+        'bone_sha256': field.bone_sha256, 'notes': list(field.notes),
+        'shapes': {name: array.shape for name, array in arrays.items()}}).encode()
     header += b' ' * (-(len(MAGIC) + 4 + len(header)) % ALIGNMENT)
     parts = [MAGIC, struct.pack('<I', len(header)), header, *(array.tobytes() for array in arrays.values())]
     checksum = 0
@@ -89,7 +93,8 @@ def load_field(path: str | os.PathLike[str]) -> Field:
     except (struct.error, ValueError, KeyError, TypeError) as error:
         raise damaged from error
     if version != VERSION:
-        raise InputError(f'{path}: is a field of format {version}, this program reads {VERSION}; build it again')
+        raise InputError(f'{path}: is a field of format {version}, but this program reads {VERSION}; '
+                         'build it again with `gsdf build`')
     if struct.pack('<I', zlib.crc32(memoryview(data)[:-4])) != data[-4:]:
         raise damaged
     return _field(header, data, end)
@@ -108,6 +113,7 @@ def _field(header: dict[str, Any], data: bytearray, offset: int) -> Field:
     for name, shape in header['shapes'].items():
         arrays[name] = np.frombuffer(data, _DTYPES[name], math.prod(shape), offset).reshape(shape)
         offset += arrays[name].nbytes
-    kernels = FieldArrays(np.array(header['origin']), header['voxel_size'], arrays.pop('block_of'), arrays.pop('nodes'),
-                          header['first_coarse'])
-    return Field(kernels, header['bone_sha256'], np.array(header['bounds']), notes=tuple(header['notes']), **arrays)
+    kernels = FieldArrays(np.array(header['origin']), header['voxel_size'], arrays.pop('block_of'),
+                          arrays.pop('nodes'), header['first_coarse'])
+    return Field(kernels, header['bone_sha256'], np.array(header['bounds']), notes=tuple(header['notes']),
+                 **arrays)

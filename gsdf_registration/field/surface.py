@@ -16,10 +16,11 @@ def sample_surface(bone: Bone) -> tuple[np.ndarray, np.ndarray]:
     """
     Return points and outward normals, each (k, 3) float32, always the same for the same bone.
 
-    Of a mesh: walking the faces in an order that keeps neighbours together, one point for every SPACING^2 of area.
-    Of a cloud: the first point in every cube of SPACING.
+    Of a mesh: walking the faces in an order that keeps neighbours together, one point for every SPACING^2
+    of area. Of a cloud: the first point in every cube of SPACING.
     """
     if bone.faces is None:
+        assert bone.normals is not None
         cell = np.floor(bone.vertices / SPACING).astype(np.int64)
         _, chosen = np.unique(cell, axis=0, return_index=True)
         return bone.vertices[chosen].astype(np.float32), bone.normals[chosen].astype(np.float32)

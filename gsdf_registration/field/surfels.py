@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signed distance and gradient of a point cloud with normals: every point stands for a small disc, a surfel."""
+"""Signed distance and gradient of a point cloud with normals: every point is a small disc, a surfel."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Surfels:
         self._radii = self._tree.query(points, k=[min(7, len(points))], workers=threads)[0][:, 0]
 
     def sample(self, x: Array) -> np.ndarray:
-        """Return signed distance and unit gradient (..., 4) float32 at ``x`` (..., 3), from the disc of the nearest point."""
+        """Return distance and gradient (..., 4) float32 at ``x`` (..., 3), to the disc of the nearest point."""
         _, nearest = self._tree.query(x, workers=self._threads)
         offset = x - self._tree.data[nearest]
         normal = self._normals[nearest]

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Exact signed distance and gradient of a triangle mesh: a bounding-box tree and one compiled nearest-triangle search.
+Triangles made ready for distance queries, and the exact distance to one of them.
 
-The closest point on a triangle is found by its Voronoi regions (Ericson, Real-Time Collision Detection, 5.1.5); the sign comes
-from the angle-weighted pseudonormal of the face, edge or vertex it lies on (Baerentzen & Aanaes, TVCG 2005).
+The closest point on a triangle is found by its Voronoi regions (Ericson, Real-Time Collision Detection,
+5.1.5); the sign comes from the angle-weighted pseudonormal of the face, edge or vertex it lies on
+(Baerentzen & Aanaes, TVCG 2005).
 """
 
 from __future__ import annotations
@@ -20,16 +21,23 @@ from gsdf_registration.rigid import Array
 
 LEAF = 4    # triangles in a leaf of the tree, at most
 
+_compiled = nb.njit(nogil=True, cache=True)
+_inline = nb.njit(nogil=True, cache=True, forceinline=True)
+
 
 class Tree(NamedTuple):
     """
-    Triangles in the order of the leaves of a complete binary tree; node i has the children 2i and 2i + 1, the root is 1.
+    Triangles in the order of the leaves of a complete binary tree.
+
+    Node i has the children 2i and 2i + 1, the root is 1.
 
     box : (2 l, 6) float64, low and high corner of what a node holds; leaves are the nodes l .. 2l - 1
     start : (l + 1,) int64, leaf j holds the triangles start[j] .. start[j + 1] - 1
-    triangle : (m, 16) float64, corner a, edges ab and ac, ab.ab, ab.ac, ac.ac, and the inverses of ab.ab, ac.ac, bc.bc
-        and of the square of twice the area
+    triangle : (m, 16) float64, corner a, edges ab and ac, ab.ab, ab.ac, ac.ac, and the inverses of ab.ab,
+        ac.ac, bc.bc and of the square of twice the area
     disc : (m, 4) float64, centre and radius of the smallest circle round the triangle
+    axes : (m, 14) float32, unit vectors along ab, across it in the plane, and normal to it; in these axes,
+        from a, b = (b, 0) and c = (p, q): b, p, q, and the inverses of ac.ac and bc.bc
     normal : (m, 7, 3) float32, pseudonormals of the face, edges ab, bc, ca and corners a, b, c
     """
 
@@ -37,6 +45,7 @@ class Tree(NamedTuple):
     start: np.ndarray
     triangle: Array
     disc: Array
+    axes: np.ndarray
     normal: np.ndarray
 
 
@@ -50,9 +59,8 @@ def build_tree(vertices: Array, faces: np.ndarray) -> Tree:
     faces : (m, 3) int, m >= 1, no face of zero area
 
     """
-    centroids = vertices[faces].mean(axis=1)
-    order = cKDTree(centroids, leafsize=LEAF).indices       # neighbours in space are neighbours in this order
-    normal = pseudonormals(vertices, faces)[order]
+    # the order of a kd-tree: halves of it, halves of these and so on are neighbours in space
+    order = cKDTree(vertices[faces].mean(axis=1), leafsize=LEAF).indices
     corners = vertices[faces[order]]
     leaves = 1 << max(0, math.ceil(math.log2(len(faces) / LEAF)))
     start = np.arange(leaves + 1) * len(faces) // leaves
@@ -64,29 +72,60 @@ def build_tree(vertices: Array, faces: np.ndarray) -> Tree:
         leaves //= 2
         box[leaves:2 * leaves, :3] = children[:, :, :3].min(axis=1)
         box[leaves:2 * leaves, 3:] = children[:, :, 3:].max(axis=1)
-    a, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    abab, abac, acac = (np.einsum('ij,ij->i', p, q) for p, q in ((ab, ab), (ab, ac), (ac, ac)))
-    inverses = 1.0 / np.stack([abab, acac, abab - 2.0 * abac + acac, abab * acac - abac * abac], axis=1)
-    return Tree(box, start, np.column_stack([a, ab, ac, abab, abac, acac, inverses]), bounding_discs(corners), normal)
+    triangle, disc, axes = np.empty((len(faces), 16)), np.empty((len(faces), 4)), np.empty((len(faces), 14), np.float32)
+    _prepare(corners, triangle, disc, axes)
+    return Tree(box, start, triangle, disc, axes, pseudonormals(vertices, faces)[order])
 
 
-def bounding_discs(corners: Array) -> Array:
-    """Return centre and radius, (m, 4), of the smallest circle round each triangle (m, 3, 3)."""
-    opposite = np.stack([((corners[:, i - 1] - corners[:, i - 2]) ** 2).sum(axis=1) for i in range(3)], axis=1)
-    # barycentric weights of the circumcentre; of an obtuse triangle the middle of the longest side is the centre
-    weights = opposite * (opposite.sum(axis=1, keepdims=True) - 2.0 * opposite)
-    weights = np.maximum(weights, 0.0)
-    longest = opposite.argmax(axis=1)
-    obtuse = 2.0 * opposite.max(axis=1) >= opposite.sum(axis=1)
-    weights[obtuse] = 1.0 - np.eye(3)[longest[obtuse]]
-    centres = np.einsum('ij,ijk->ik', weights / weights.sum(axis=1, keepdims=True), corners)
-    radii = np.sqrt(((corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
-    return np.column_stack([centres, radii * (1.0 + 1e-5)])
+@_compiled
+def _prepare(corners, triangle, disc, axes):
+    """Fill the tables of a `Tree` from the corners (m, 3, 3)."""
+    ab = np.empty(3)
+    ac = np.empty(3)
+    for t in range(len(corners)):
+        abab = abac = acac = 0.0
+        for i in range(3):
+            ab[i] = corners[t, 1, i] - corners[t, 0, i]
+            ac[i] = corners[t, 2, i] - corners[t, 0, i]
+            triangle[t, i] = corners[t, 0, i]
+            triangle[t, 3 + i] = ab[i]
+            triangle[t, 6 + i] = ac[i]
+            abab += ab[i] * ab[i]
+            abac += ab[i] * ac[i]
+            acac += ac[i] * ac[i]
+        bcbc = abab - 2.0 * abac + acac
+        area2 = abab * acac - abac * abac
+        triangle[t, 9], triangle[t, 10], triangle[t, 11] = abab, abac, acac
+        triangle[t, 12], triangle[t, 13] = 1.0 / abab, 1.0 / acac
+        triangle[t, 14], triangle[t, 15] = 1.0 / bcbc, 1.0 / area2
+        # the circumcentre; beyond a side, the triangle is obtuse and the middle of that side will do
+        v = 0.5 * acac * (abab - abac) / area2
+        w = 0.5 * abab * (acac - abac) / area2
+        if v <= 0.0:
+            v, w = 0.0, 0.5
+        elif w <= 0.0:
+            v, w = 0.5, 0.0
+        elif v + w >= 1.0:
+            v, w = 0.5, 0.5
+        r2 = max(v * v * abab + 2.0 * v * w * abac + w * w * acac,
+                 (v - 1.0) ** 2 * abab + 2.0 * (v - 1.0) * w * abac + w * w * acac,
+                 v * v * abab + 2.0 * v * (w - 1.0) * abac + (w - 1.0) ** 2 * acac)
+        disc[t, 3] = math.sqrt(r2) * (1.0 + 1e-5)
+        # u along ab, the normal, v across
+        b, double = math.sqrt(abab), math.sqrt(area2)
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            disc[t, i] = corners[t, 0, i] + v * ab[i] + w * ac[i]
+            axes[t, i] = ab[i] / b
+            axes[t, 3 + i] = (ac[i] - ab[i] * (abac / abab)) * (b / double)
+            axes[t, 6 + i] = (ab[j] * ac[k] - ab[k] * ac[j]) / double
+        axes[t, 9], axes[t, 10], axes[t, 11] = b, abac / b, double / b
+        axes[t, 12], axes[t, 13] = 1.0 / acac, 1.0 / bcbc
 
 
-@nb.njit(nogil=True, cache=True, forceinline=True)
+@_inline
 def closest(tri, i, x, y, z):
-    """Return the closest point of triangle ``i`` as (v, w, feature): a + v ab + w ac on feature 0..6 as in `pseudonormals`."""
+    """Return (v, w, feature): the closest point a + v ab + w ac of triangle ``i``; 0..6 in `pseudonormals`."""
     px = x - tri[i, 0]
     py = y - tri[i, 1]
     pz = z - tri[i, 2]
@@ -116,18 +155,21 @@ def closest(tri, i, x, y, z):
     return vb * s, vc * s, 0
 
 
-@nb.njit(nogil=True, cache=True, forceinline=True)
+@_inline
 def offset(tri, i, v, w, x, y, z):
     """Return the vector from the point (v, w) of triangle ``i`` to (x, y, z)."""
-    return (x - tri[i, 0] - v * tri[i, 3] - w * tri[i, 6], y - tri[i, 1] - v * tri[i, 4] - w * tri[i, 7], z - tri[i, 2] - v * tri[i, 5] - w * tri[i, 8])
+    return (x - tri[i, 0] - v * tri[i, 3] - w * tri[i, 6],
+            y - tri[i, 1] - v * tri[i, 4] - w * tri[i, 7],
+            z - tri[i, 2] - v * tri[i, 5] - w * tri[i, 8])
 
 
-@nb.njit(nogil=True, cache=True, forceinline=True)
+@_inline
 def distance2(tri, i, x, y, z):
     """
-    Return the squared distance from (x, y, z) to triangle ``i``, to choose by: good to 1e-16 of the squared offset from its corner.
+    Return the squared distance from (x, y, z) to triangle ``i``, to choose by.
 
-    The plane if the foot lies inside, else the nearest edge: all from two dot products, without a branch to mispredict.
+    To the plane if the foot lies inside, else to the nearest edge: all from two dot products, without a branch
+    to mispredict; good to 1e-16 of the squared distance to corner a.
     """
     px = x - tri[i, 0]
     py = y - tri[i, 1]
@@ -150,7 +192,7 @@ def distance2(tri, i, x, y, z):
     return least if least > 0.0 else 0.0
 
 
-@nb.njit(nogil=True, cache=True, forceinline=True)
+@_inline
 def _along(dot, inverse, length2):
     """Return the least of t^2 length2 - 2 t dot for t in [0, 1]."""
     t = dot * inverse
@@ -159,16 +201,16 @@ def _along(dot, inverse, length2):
     return t * (t * length2 - 2.0 * dot)
 
 
-@nb.njit(nogil=True, cache=True, forceinline=True)
-def write_sample(tree, i, x, y, z, on_surface, out, row):
+@_inline
+def write_sample(tri, normal, i, x, y, z, on_surface, out, row):
     """
-    Write signed distance and unit gradient at (x, y, z), whose nearest triangle is ``i``, to ``out[row]``, (rows, 4).
+    Write signed distance and unit gradient at (x, y, z), whose nearest triangle is ``i``, to ``out[row]``.
 
-    ``on_surface``: distance below which the pseudonormal is the gradient, for the direction to the surface is lost.
+    ``on_surface``: distance below which the direction to the surface is lost; the pseudonormal it is then.
     """
-    v, w, feature = closest(tree.triangle, i, x, y, z)
-    dx, dy, dz = offset(tree.triangle, i, v, w, x, y, z)
-    nx, ny, nz = tree.normal[i, feature, 0], tree.normal[i, feature, 1], tree.normal[i, feature, 2]
+    v, w, feature = closest(tri, i, x, y, z)
+    dx, dy, dz = offset(tri, i, v, w, x, y, z)
+    nx, ny, nz = normal[i, feature, 0], normal[i, feature, 1], normal[i, feature, 2]
     d = math.sqrt(dx * dx + dy * dy + dz * dz)
     if d > on_surface:
         d = math.copysign(d, dx * nx + dy * ny + dz * nz)

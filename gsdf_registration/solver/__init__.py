@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gsdf_registration import rigid
 from gsdf_registration.config import SolverConfig
@@ -13,7 +15,12 @@ from gsdf_registration.field import Field
 from gsdf_registration.result import Iteration
 from gsdf_registration.rigid import Array
 from gsdf_registration.solver import gauss_newton
+from gsdf_registration.solver.mixture import expectation_maximization
 from gsdf_registration.solver.paper import algorithm_1
+
+
+START = 0.0015      # m, scatter of the local means at first: a fair guess is so far off
+COOLING = 0.85      # by which it falls a round
 
 
 @dataclass(frozen=True)
@@ -25,9 +32,9 @@ class Solution:
     weights : (n,) float in [0, 1], how much each point bears
     residuals : (n,) float, metres, signed distance of each point at the pose; NaN where it was discarded before
     jacobian : (n, 6) float, d residual / d [rotation about the centroid of the points, translation], bone axes
-    curvature : (n,) float, d(w e)/de: below the weight where a point is about to be given up
-    sigma : float, metres, noise of a point along the surface normal
-    settled : bool, whether the weights settled
+    curvature : (n,) float, d(w e)/de, less than the weight where a point is about to be given up
+    score : float, log-likelihood (mixture) or sum of the weights (paper): of two solutions of the same points, the higher is better
+    settled : bool, whether the end was reached by settling
     termination : str, why it ended, in words
     iterations : int
     history : the steps, on request
@@ -38,15 +45,14 @@ class Solution:
     residuals: Array
     jacobian: Array
     curvature: Array
-    sigma: float
+    score: float
     settled: bool
     termination: str
     iterations: int
     history: tuple[Iteration, ...] = ()
 
 
-def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
-          history: bool = False) -> Solution:
+def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig, history: bool = False) -> Solution:
     """
     Return the local solution from a first guess.
 
@@ -59,19 +65,56 @@ def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConf
     history : whether to return every step
 
     """
-    centre = points.mean(axis=0)
-    centred = np.ascontiguousarray(points - centre)
-    R = np.ascontiguousarray(T_bone_tracker[:3, :3])
-    t = rigid.transform(T_bone_tracker, centre)
-    n = len(points)
-    keep, weight = np.ones(n, dtype=np.bool_), np.zeros(n)
-    e, J = np.full(n, np.nan), np.zeros((n, 6))
+    if config.method == 'paper':
+        return _paper(points, field, T_bone_tracker, config, history)
+    neighbours = nearest_neighbours(points, config.neighbours)
+    plain = _mixture(points, neighbours, field, T_bone_tracker, config, history)
+    # Soft tissue may have drawn that solution outward: start again from the lower envelope of the points
+    lifted = _mixture(points, neighbours, field, plain.T_bone_tracker, config, history, lift=0.05)
+    return max(plain, lifted, key=lambda solution: solution.score)
+
+
+def nearest_neighbours(points: Array, count: int) -> NDArray[np.int64]:
+    """Return the indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first."""
+    nearest = cKDTree(points).query(points, k=min(count, len(points)))[1]
+    return np.ascontiguousarray(nearest.reshape(len(points), -1), dtype=np.int64)
+
+
+def _mixture(points: Array, neighbours: NDArray[np.int64], field: Field, T_bone_tracker: Array, config: SolverConfig,
+             history: bool, lift: float = 1.0) -> Solution:
+    """Return the solution of `expectation_maximization`."""
+    centred, R, t = _about_centroid(points, T_bone_tracker)
+    weight, e, J = np.zeros(len(points)), np.zeros(len(points)), np.zeros((len(points), 6))
     steps = gauss_newton.empty_history(config.max_iterations)
-    ended, iterations = algorithm_1(field.arrays, centred, R, t, keep, weight, e, J, steps, config.cauchy_scale,
-                                    config.discard_below, config.weight_tolerance, config.hold)
-    T = rigid.orthonormalized(rigid.from_rt(R, t - R @ centre))
+    ended, rounds, _, likelihood = expectation_maximization(
+        field.arrays, centred, R, t, neighbours, weight, e, J, steps, START, COOLING, lift, config.reach,
+        config.model_error, config.tolerance)
+    return _solution(points, R, t, weight, e, J, weight, likelihood, ended, steps[:rounds], history)
+
+
+def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig, history: bool) -> Solution:
+    """Return the solution of `algorithm_1`."""
+    centred, R, t = _about_centroid(points, T_bone_tracker)
+    keep, weight = np.ones(len(points), dtype=np.bool_), np.zeros(len(points))
+    e, J = np.zeros(len(points)), np.zeros((len(points), 6))
+    steps = gauss_newton.empty_history(config.max_iterations)
+    ended, rounds = algorithm_1(field.arrays, centred, R, t, keep, weight, e, J, steps, config.cauchy_scale,
+                                config.discard_below, config.weight_tolerance, config.hold)
     e[~keep] = np.nan
-    return Solution(T, weight, e, J, curvature=np.where(keep, weight * (2.0 * weight - 1.0), 0.0),
-                    sigma=1.4826 * float(np.median(np.abs(e[keep]))) if keep.any() else float('nan'),
-                    settled=ended == gauss_newton.SETTLED, termination=gauss_newton.TERMINATION[ended], iterations=iterations,
-                    history=tuple(Iteration(*row[:3], int(row[3])) for row in steps[:iterations]) if history else ())
+    # d(w e)/de of the Cauchy weight
+    curvature = np.where(keep, weight * (2.0 * weight - 1.0), 0.0)
+    return _solution(points, R, t, weight, e, J, curvature, float(weight.sum()), ended, steps[:rounds], history)
+
+
+def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array]:
+    """Return the points about their centroid, and the rotation and the centroid in the bone frame, to be changed in place."""
+    centre = points.mean(axis=0)
+    return (np.ascontiguousarray(points - centre), np.array(T_bone_tracker[:3, :3]),
+            rigid.transform(T_bone_tracker, centre))
+
+
+def _solution(points: Array, R: Array, t: Array, weight: Array, e: Array, J: Array, curvature: Array, score: float,
+              ended: int, steps: Array, history: bool) -> Solution:
+    T = rigid.orthonormalized(rigid.from_rt(R, t - R @ points.mean(axis=0)))
+    return Solution(T, weight, e, J, curvature, score, ended == gauss_newton.SETTLED, gauss_newton.TERMINATION[ended], len(steps),
+                    tuple(Iteration(*row[:3], int(row[3])) for row in steps.tolist()) if history else ())

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+# make demo | test | lint | bench : each installs what it needs into .venv and may be repeated.
+
+VENV := $(CURDIR)/.venv
+BIN := $(VENV)/bin
+DATA := package.xml $(shell find config launch bags resource -type f -not -path '*/__pycache__/*')
+
+# What a ROS install or another virtual environment left in the shell must not leak into ours.
+unexport PYTHONPATH LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+export AMENT_PREFIX_PATH := $(VENV)
+
+.PHONY: demo test lint bench clean
+.DELETE_ON_ERROR:
+
+demo: $(VENV)/.installed-ros $(VENV)/.shared
+	$(BIN)/gsdf demo
+
+test: $(VENV)/.installed-ros,test $(VENV)/.shared
+	$(BIN)/python test/ros/tf2_msgs/build.py
+	$(BIN)/pytest $(PYTEST_ARGS)
+
+lint: $(VENV)/.installed-ros,test
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+bench: $(VENV)/.installed-bench $(VENV)/.shared
+	$(BIN)/gsdf bench field
+	$(BIN)/gsdf bench solve
+
+clean:
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+# The first Python of 3.10 to 3.13 that runs and has venv.
+$(BIN)/python:
+	@for python in python3 python3.13 python3.12 python3.11 python3.10; do \
+	  if $$python -c 'import ensurepip, sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' 2>/dev/null; \
+	  then set -x; $$python -m venv $(VENV) && exec $@ -m pip install --quiet 'setuptools>=77,<80'; fi; done; \
+	echo 'no Python 3.10 to 3.13 with venv found: install one, or python3-venv beside it' >&2; exit 1
+
+# Editable: what is in this folder runs, with nothing to install again when a source changes.
+$(VENV)/.installed-%: setup.py pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[$*]'
+	touch $@
+
+# An editable install leaves out share/, where ROS looks for models, launch files and settings.
+$(VENV)/.shared: setup.py $(DATA) | $(BIN)/python
+	$(BIN)/python -W ignore setup.py --quiet install_data --install-dir $(VENV)
+	touch $@

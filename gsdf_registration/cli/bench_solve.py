@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``gsdf bench solve``: the solver beside point-to-plane ICPs: the same points, guess and run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from gsdf_registration.cli.common import example
+from gsdf_registration.result import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from gsdf_registration.field import Field
+    from gsdf_registration.rigid import Array
+
+SHIPPED = 'package://gsdf_registration/bags/hip.ply'
+EXPOSED = 0.04          # m, radius of the ball in which points are touched
+NOISE = 5e-4            # m, of a point, each axis
+LANDMARK_ERROR = 4e-3   # m
+LANDMARKS_WITHIN = 0.12     # m of the middle of the points: what can be reached
+PER_AREA = 2e6          # model points a square metre for the peers: 0.7 mm apart
+REACH = 0.01            # m, the farthest correspondence the peers take: twice what the guess is off
+
+# points (n, 3), guess T_bone_tracker -> T_bone_tracker, iterations (NaN: not told), seconds
+Aligner = Callable[['Array', 'Array'], tuple['Array', float, float]]
+
+
+@dataclass
+class Row:
+    """What was measured of one method on one bone."""
+
+    seconds: list[float] = field(default_factory=list)
+    iterations: list[float] = field(default_factory=list)
+    squared_tre: list[float] = field(default_factory=list)
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'solve', help='time the solver beside small_gicp and Open3D',
+        description='Time the local solver from three landmarks that are 4 mm off, beside the point-to-plane '
+        'ICPs of small_gicp and Open3D; one thread each, model and search trees prepared beforehand.',
+        **example('gsdf bench solve --bones ~/bones'))
+    parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
+                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, '
+                        'else those that come along)')
+    parser.add_argument('--points', type=int, default=1000, help='touched points (default: 1000)')
+    parser.add_argument('--solves', type=int, default=60, help='problems on each bone (default: 60)')
+    parser.add_argument('--seed', type=int, default=0, help='of points, noise and landmarks (default: 0)')
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print a table."""
+    os.environ['OMP_NUM_THREADS'] = '1'     # before the peers are imported
+    from gsdf_registration.model import load_model
+
+    print(f'{args.points} points within {1e3 * EXPOSED:.0f} mm, noise {1e3 * NOISE:.1f} mm, '
+          f'landmarks {1e3 * LANDMARK_ERROR:.0f} mm off, {args.solves} problems a bone; one thread\n')
+    print(f'{"bone":<20}{"method":<30}{"median ms":>10}{"p95 ms":>10}{"iterations":>12}{"TRE rms mm":>12}')
+    for file in bones(args.bones):
+        measure(file.stem, load_model(str(file)), args.points, args.solves, args.seed)
+    return 0
+
+
+def bones(folder: str | None) -> list[Path]:
+    """Return the meshes to measure on."""
+    from gsdf_registration.model import find_model
+    found = sorted(file for file in (Path(folder) if folder else find_model(SHIPPED).parent).iterdir()
+                   if file.suffix.lower() in ('.ply', '.stl', '.obj', '.off'))
+    if not found:
+        raise InputError(f'{folder} holds no mesh; give a folder of PLY, STL, OBJ or OFF files')
+    return found
+
+
+def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None:
+    """Print the rows of one bone."""
+    import numpy as np
+
+    from gsdf_registration import rigid
+
+    surface, normals = sampled(bone, seed)
+    near = best_patch(surface, normals, seed)
+    methods = {f'gradient-SDF, {method}': ours(bone, method) for method in ('paper', 'mixture')}
+    missing: dict[str, str] = {}
+    for peer, prepare in (('small_gicp, point-to-plane', small_gicp), ('Open3D, plane, Tukey', open3d)):
+        try:
+            methods[peer] = prepare(surface, normals)
+        except (ImportError, OSError) as no:
+            missing[peer] = str(no).splitlines()[0]
+    rows = {method: Row() for method in methods}
+    rng = np.random.default_rng(seed)
+    for problem in range(solves + 1):
+        T_tracker_bone, touched, guess = drawn(surface, near, points, rng)
+        for method, align in methods.items():
+            T_bone_tracker, iterations, seconds = align(touched, rigid.inverse(guess))
+            if problem == 0:
+                continue    # the first one compiles and warms up
+            off = rigid.transform(T_bone_tracker @ T_tracker_bone, bone.surface_points) - bone.surface_points
+            rows[method].seconds.append(seconds)
+            rows[method].iterations.append(iterations)
+            rows[method].squared_tre.append(float((off**2).sum(axis=1).mean()))
+    for method, row in rows.items():
+        median, p95 = 1e3 * np.percentile(row.seconds, [50.0, 95.0])
+        steps = '-' if np.isnan(row.iterations[0]) else f'{np.median(row.iterations):.0f}'
+        print(f'{name:<20}{method:<30}{median:>10.2f}{p95:>10.2f}{steps:>12}'
+              f'{1e3 * np.sqrt(np.mean(row.squared_tre)):>12.2f}')
+    for method, reason in missing.items():
+        print(f'{name:<20}{method:<30}not measured: {reason}')
+    print(f'{name:<20}{floor(bone, surface[near][:points], rows["gradient-SDF, paper"])}\n')
+
+
+def sampled(bone: Field, seed: int) -> tuple[Array, Array]:
+    """Return points (n, 3) spread over the surface, m, and their normals."""
+    import numpy as np
+    import trimesh
+
+    mesh = trimesh.Trimesh(bone.vertices.astype(np.float64), bone.faces, process=False)
+    surface, faces = trimesh.sample.sample_surface(mesh, int(PER_AREA * mesh.area), seed=seed)
+    return np.ascontiguousarray(surface), np.ascontiguousarray(mesh.face_normals[faces])
+
+
+def best_patch(surface: Array, normals: Array, seed: int) -> np.ndarray:
+    """Return the indices of the ball that holds a pose best, of 50: nothing can be done with a bare shaft."""
+    import numpy as np
+
+    candidates = []
+    for centre in surface[np.random.default_rng(seed).choice(len(surface), 50)]:
+        near = np.flatnonzero(np.linalg.norm(surface - centre, axis=1) < EXPOSED)
+        arms = (surface[near] - surface[near].mean(axis=0)) / EXPOSED
+        J = np.hstack([np.cross(arms, normals[near]), normals[near]])
+        candidates.append((float(np.linalg.eigvalsh(J.T @ J / len(near))[0]), near))
+    return np.random.default_rng(seed).permutation(max(candidates, key=lambda candidate: candidate[0])[1])
+
+
+def drawn(surface: Array, near: np.ndarray, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Return a true pose, touched points (n, 3) in the tracker frame, and the guess from three landmarks."""
+    import numpy as np
+
+    from gsdf_registration import rigid
+    from gsdf_registration.landmarks import pose_from_landmarks
+
+    T = rigid.exp(np.concatenate([rng.uniform(-1.5, 1.5, 3), rng.uniform(-1.0, 1.0, 3)]))
+    points = surface[rng.choice(near, n, replace=len(near) < n)]
+    marks = landmark_places(surface, surface[near].mean(axis=0))
+    off = rng.normal(size=(3, 3))
+    off *= LANDMARK_ERROR / np.linalg.norm(off, axis=1, keepdims=True)
+    guess, _ = pose_from_landmarks(marks, rigid.transform(T, marks) + off)
+    return T, rigid.transform(T, points) + NOISE * rng.normal(size=points.shape), guess
+
+
+def landmark_places(surface: Array, centre: Array) -> Array:
+    """Return three points (3, 3) of the surface within reach, far from one another and from one line."""
+    import numpy as np
+
+    within = surface[np.linalg.norm(surface - centre, axis=1) < LANDMARKS_WITHIN]
+    first = within[np.argmax(np.linalg.norm(within - centre, axis=1))]
+    second = within[np.argmax(np.linalg.norm(within - first, axis=1))]
+    third = within[np.argmax(np.linalg.norm(np.cross(within - first, second - first), axis=1))]
+    return np.stack([first, second, third])
+
+
+def ours(bone: Field, method: str) -> Aligner:
+    """Return one of the methods on the gradient-SDF."""
+    from gsdf_registration.config import SolverConfig
+    from gsdf_registration.solver import solve
+    config = SolverConfig(method=method)
+
+    def align(points: Array, guess: Array) -> tuple[Array, float, float]:
+        start = perf_counter()
+        solution = solve(points, bone, guess, config)
+        return solution.T_bone_tracker, solution.iterations, perf_counter() - start
+    return align
+
+
+def small_gicp(surface: Array, normals: Array) -> Aligner:
+    """Return small_gicp's point-to-plane ICP; the model's cloud, normals and tree are made here."""
+    import small_gicp as gicp
+    target = gicp.PointCloud(surface)
+    tree = gicp.KdTree(target, num_threads=1)
+    gicp.estimate_normals(target, tree, num_neighbors=12, num_threads=1)
+
+    def align(points: Array, guess: Array) -> tuple[Array, float, float]:
+        source = gicp.PointCloud(points)
+        start = perf_counter()
+        result = gicp.align(target, source, tree, guess, registration_type='PLANE_ICP', num_threads=1,
+                            max_iterations=100, max_correspondence_distance=REACH,
+                            rotation_epsilon=1e-4, translation_epsilon=1e-5)
+        return result.T_target_source, result.iterations, perf_counter() - start
+    return align
+
+
+def open3d(surface: Array, normals: Array) -> Aligner:
+    """Return Open3D's point-to-plane ICP; the tree it builds at every call is timed and taken off."""
+    import numpy as np
+    import open3d as o3d
+    o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
+    icp = o3d.pipelines.registration
+    target = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surface))
+    target.normals = o3d.utility.Vector3dVector(normals)
+    estimation = icp.TransformationEstimationPointToPlane(icp.TukeyLoss(k=3e-3))
+    criteria = icp.ICPConvergenceCriteria(relative_fitness=1e-7, relative_rmse=1e-7, max_iteration=100)
+
+    def align(points: Array, guess: Array) -> tuple[Array, float, float]:
+        source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+        start = perf_counter()
+        o3d.geometry.KDTreeFlann(target)
+        ready = perf_counter()
+        result = icp.registration_icp(source, target, REACH, guess, estimation, criteria)
+        ended = perf_counter()
+        return np.asarray(result.transformation), np.nan, max(ended - ready - (ready - start), 0.0)
+    return align
+
+
+def floor(bone: Field, points: Array, row: Row) -> str:
+    """Say how far the solver is from the time that its samples alone take."""
+    import numpy as np
+
+    from gsdf_registration.solver.gauss_newton import linearize
+    n = len(points)
+    keep, e, J = np.ones(n, dtype=np.bool_), np.zeros(n), np.zeros((n, 6))
+    seconds = []
+    for _ in range(200):
+        start = perf_counter()
+        linearize(bone.arrays, points, np.eye(3), np.zeros(3), keep, e, J)
+        seconds.append(perf_counter() - start)
+    one, passes = float(np.median(seconds)), float(np.median(row.iterations)) + 1
+    solve = float(np.median(row.seconds))
+    return (f'the floor: a pass over the points, warm, takes {1e6 * one:.0f} us ({1e9 * one / n:.0f} ns a sample), '
+            f"{passes:.0f} passes {1e3 * passes * one:.2f} ms; the paper's method takes "
+            f'{solve / (passes * one):.1f} times that')

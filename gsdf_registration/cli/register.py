@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``gsdf register``: touched points from a file to the pose of the bone."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from gsdf_registration.cli import common
+from gsdf_registration.result import Refusal, RegistrationResult
+
+if TYPE_CHECKING:
+    from gsdf_registration.config import Config
+    from gsdf_registration.field import Field
+    from gsdf_registration.rigid import Array
+    from gsdf_registration.session import LandmarkPairs
+    from msg_adapters.recording import Recording
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'register', help='register points to a bone model',
+        description='Find the pose of a bone from points touched on it.',
+        **common.example('gsdf register hip.stl points.csv --unit mm --landmarks landmarks.csv '
+                         '--json pose.json'))
+    parser.add_argument('model', metavar='MODEL',
+                        help='STL, PLY, OBJ, OFF, a .gsdf field, or a point cloud with normals')
+    parser.add_argument('points', metavar='POINTS',
+                        help='CSV with header x,y,z; an NDI tracker CSV; PLY or XYZ')
+    parser.add_argument('--unit', choices=('mm', 'm'), required=True, help='unit of the lengths in POINTS')
+    common.add_registration_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Register, say the outcome, write it; 1 if refused."""
+    from gsdf_registration.cli.result_json import result_to_json
+    from gsdf_registration.cli.summary import summary
+    from msg_adapters.points import read_points
+
+    started = time.perf_counter()
+    config = common.effective_config(args)
+    T_tracker_bone = common.read_initial(args.initial)
+    landmarks = common.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
+    recording = read_points(args.points, args.unit)
+    field = common.field_or_refusal(config)
+    loaded = time.perf_counter()
+    rejected: dict[str, int] = {}
+    if isinstance(field, Refusal):
+        result, sha256 = RegistrationResult.refused(field.reason, field.message), None
+    else:
+        result, rejected = registered(recording, field, config, landmarks, T_tracker_bone)
+        sha256 = field.bone_sha256
+    common.write_json(args.json, result_to_json(
+        result, config, frame_id=config.probe.frame_id, model_sha256=sha256,
+        points_sha256=common.sha256_of(args.points), load_s=loaded - started,
+        total_s=time.perf_counter() - started))
+    print(summary(result, config.probe.frame_id, rejected),
+          file=sys.stderr if args.json == '-' else sys.stdout)
+    return 0 if result.success else 1
+
+
+def registered(recording: Recording, field: Field, config: Config, landmarks: LandmarkPairs | None,
+               T_tracker_bone: Array | None) -> tuple[RegistrationResult, dict[str, int]]:
+    """
+    Register the points of a file: with stamps as the node would have done, without them as they are.
+
+    Also return how many points were not believed, by cause.
+    """
+    import numpy as np
+
+    from gsdf_registration.collection import Rejection
+    from gsdf_registration.registration import register
+    from gsdf_registration.replay import replay
+
+    if recording.stamps is None:
+        finite = np.isfinite(recording.positions).all(axis=1)
+        strokes = None if recording.strokes is None else recording.strokes[finite]
+        result = register(recording.positions[finite], field, config, strokes=strokes, landmarks=landmarks,
+                          T_tracker_bone=T_tracker_bone)
+        return (dataclasses.replace(result, received=len(recording)),
+                {str(Rejection.NOT_FINITE): int((~finite).sum())})
+    recording.frame_ids = [config.probe.frame_id] * len(recording)     # a file of points names no frame
+    result, session = replay(recording, field, config, landmarks, T_tracker_bone)
+    return result, session.status().rejected

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A result as JSON, "gsdf-registration/1": every key always there, null where nothing is known; SI."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gsdf_registration import __version__
+from gsdf_registration.config import Config
+from gsdf_registration.result import RegistrationResult, WeakestDirection
+from gsdf_registration.rigid import quaternion_from_rotation
+from gsdf_registration.session_record import plain
+
+SCHEMA = 'gsdf-registration/1'
+
+
+def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str = '',
+                   model_sha256: str | None = None, points_sha256: str | None = None,
+                   load_s: float | None = None, total_s: float | None = None) -> dict[str, Any]:
+    """
+    Return the document of one registration.
+
+    Parameters
+    ----------
+    result : RegistrationResult
+    config : Config
+        The settings it was made with.
+    frame_id : str
+        Frame of the points, in which the bone's pose is given; empty: not known.
+    model_sha256, points_sha256 : str, optional
+        What was registered.
+    load_s, total_s : float, optional
+        Time to load model and points, and all together, s.
+
+    """
+    document = {
+        'schema': SCHEMA,
+        'success': result.success,
+        'reason': result.reason,
+        'message': result.message,
+        'T_tracker_bone': result.T_tracker_bone,
+        'bone_pose': _bone_pose(result, frame_id),
+        'covariance': result.covariance,
+        'points': {'received': result.received, 'used': result.used, 'inliers': result.inliers},
+        'sigma_m': result.sigma_m,
+        'residual_rms_m': result.residual_rms_m,
+        'predicted_tre_m': {'rms': None, 'max': None, **result.predicted_tre_m},
+        'weakest_direction': dict.fromkeys(WeakestDirection.__dataclass_fields__)
+        if result.weakest_direction is None else result.weakest_direction,
+        'ambiguity': {'runner_up_ratio': result.runner_up_ratio},
+        'timing_s': {'load': load_s, 'search': result.timing_s.get('search'),
+                     'solve': result.timing_s.get('solve'), 'total': total_s},
+        'inputs': {'model_sha256': model_sha256, 'points_sha256': points_sha256},
+        'config': config.flat(),
+        'version': __version__,
+    }
+    return plain(document)
+
+
+def _bone_pose(result: RegistrationResult, frame_id: str) -> dict[str, Any] | None:
+    if result.T_tracker_bone is None:
+        return None
+    T = result.T_tracker_bone
+    return {'frame_id': frame_id, 'position': T[:3, 3], 'orientation': quaternion_from_rotation(T[:3, :3])}

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bone as the node needs it: loaded, its warnings told, the solver compiled."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+from gsdf_registration.config import Config
+from gsdf_registration.field import Field
+from gsdf_registration.model import load_model
+from gsdf_registration.registration import register
+from gsdf_registration.result import InputError, Reason
+
+
+def load(config: Config, log: RcutilsLogger) -> Field | None:
+    """
+    Return the field of ``model.path``; None, with a warning, when that is empty.
+
+    Raises
+    ------
+    InputError
+        As `load_model`; reason `no_model` or `wrong_unit`.
+
+    """
+    path = config.model.path
+    if not path:
+        log.warning('there is no bone model: model.path is empty; points are collected all the same')
+        return None
+    log.info(f'loading {path}')
+    try:
+        with _warnings_to(log):
+            field = load_model(path, config.model.unit, config.model.voxel_size)
+    except InputError as error:
+        reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
+        raise InputError(error.message, reason) from None
+    # compiles the solver, so that the first registration is as quick as any
+    register(field.surface_points[:100].astype(np.float64), field, config, T_tracker_bone=np.eye(4))
+    log.info(f'{path} is loaded')
+    return field
+
+
+class _ToRos(logging.Handler):
+    def __init__(self, log: RcutilsLogger) -> None:
+        super().__init__(logging.WARNING)
+        self._log = log
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._log.warning(record.getMessage())
+
+
+@contextmanager
+def _warnings_to(log: RcutilsLogger) -> Iterator[None]:
+    """Pass on what the package warns of without ROS."""
+    package, handler = logging.getLogger('gsdf_registration'), _ToRos(log)
+    package.addHandler(handler)
+    try:
+        yield
+    finally:
+        package.removeHandler(handler)

@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How reliably the topics are carried; what a client of the node must know to match them."""
+
+from __future__ import annotations
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+# Late joiners get the last message: poses, status, points, markers.
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+# Best effort hears reliable publishers too; deep, because a busy moment must cost no point (12 s at 80 Hz).
+POINTS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT,
+                    durability=DurabilityPolicy.VOLATILE)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The private services: each asks the session, and answers with success and one plain sentence."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from std_srvs.srv import SetBool, Trigger
+
+from gsdf_registration.node.status import pose_kept
+from gsdf_registration.node.worker import Worker
+from gsdf_registration.result import InputError
+from gsdf_registration.touches import Answer
+from msg_adapters.session_file import read_session, write_session
+
+if TYPE_CHECKING:
+    from gsdf_registration.node.node import RegistrationNode
+
+Handler = Callable[[Any], Awaitable[Answer]]
+
+
+class Services:
+    """
+    Serves ``~/collect`` and the others on a node, in every state of its lifecycle.
+
+    They are there from the start, so that a client of a node without a bone is told so and need not wait.
+    """
+
+    def __init__(self, node: RegistrationNode) -> None:
+        self._node = node
+        self._worker = Worker()
+        # reentrant: ~/register waits for its solve while the others, itself included, are answered
+        group = ReentrantCallbackGroup()
+        for handler in (self.collect, self.undo, self.clear, self.capture_landmark, self.register,
+                        self.verify, self.save, self.load):
+            kind = SetBool if handler == self.collect else Trigger
+            node.create_service(kind, f'~/{handler.__name__}', self._served(handler), callback_group=group)
+
+    def _served(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
+        async def serve(request: Any, response: Any) -> Any:
+            node = self._node
+            refusal = node.refusal()
+            try:
+                answer = Answer(False, refusal) if refusal else await handler(request)
+            except InputError as error:
+                answer = Answer(False, error.message)
+            except Exception as error:  # noqa: BLE001 - a fault of ours must cost neither the client its answer nor the points
+                traceback.print_exc()
+                answer = Answer(False, f'internal error, please report it: {type(error).__name__}: {error}')
+            if answer.success:
+                node.get_logger().info(f'{handler.__name__}: {answer.message}')
+            else:
+                node.get_logger().warning(f'{handler.__name__}: {answer.message}')
+            node.show()
+            response.success, response.message = answer.success, answer.message
+            return response
+        return serve
+
+    async def collect(self, request: SetBool.Request) -> Answer:
+        """Start or end a stroke."""
+        return self._node.session.collect(request.data)
+
+    async def undo(self, _: Trigger.Request) -> Answer:
+        """Drop the last stroke."""
+        return self._node.session.undo()
+
+    async def clear(self, _: Trigger.Request) -> Answer:
+        """Drop all points, landmarks and verification points."""
+        return self._node.session.clear()
+
+    async def capture_landmark(self, _: Trigger.Request) -> Answer:
+        """Take the resting tip as the next landmark."""
+        return self._node.session.capture_landmark(self._node.now())
+
+    async def verify(self, _: Trigger.Request) -> Answer:
+        """Measure the distance of the resting tip to the registered surface."""
+        return self._node.session.verify(self._node.now())
+
+    async def register(self, _: Trigger.Request) -> Answer:
+        """Solve, and publish the pose."""
+        session, cancelled = self._node.session, self._node.cancelled
+        result = await self._off_executor(lambda: session.register(cancelled=cancelled.is_set))
+        if not result.success:
+            return Answer(False, f'{result.reason}: {result.message}{pose_kept(session.status())}')
+        if session is not self._node.session or self._node.refusal():
+            return Answer(False, 'the node was stopped meanwhile; nothing is published')
+        self._node.publish_pose()
+        return Answer(True, result.message)
+
+    async def save(self, _: Trigger.Request) -> Answer:
+        """Write the session to ``session.path``."""
+        session, path = self._node.session, self._node.config.session.path
+        await self._off_executor(lambda: write_session(path, session.to_dict()))
+        return Answer(True, f'session saved to {path}')
+
+    async def load(self, _: Trigger.Request) -> Answer:
+        """Take up the session in ``session.path``, and publish its pose."""
+        session, path = self._node.session, self._node.config.session.path
+        await self._off_executor(lambda: session.restore(read_session(path)))
+        self._node.publish_pose()
+        return Answer(True, f'session loaded from {path}: {session.status().message}')
+
+    async def _off_executor(self, job: Callable[[], Any]) -> Any:
+        executor = self._node.executor
+        assert executor is not None     # it calls us
+        if self._worker.busy:
+            raise InputError('the last request is still being worked on; wait for its answer')
+        return await self._worker.run(executor, job)
+
+    def idle(self, timeout: float) -> bool:
+        """Take no further jobs; tell whether the one that runs has ended within ``timeout`` seconds."""
+        return self._worker.shutdown(timeout)

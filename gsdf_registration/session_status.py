@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The session at a glance, in an operator's words: where we are, what is wrong, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gsdf_registration.collection import Collection, Rejection
+from gsdf_registration.result import Reason, RegistrationResult
+
+
+@dataclass(frozen=True)
+class Status:
+    """The session at a glance."""
+
+    state: str      # 'no_model', 'idle', 'collecting', 'solving', 'registered' or 'refused'
+    message: str    # one plain sentence for the operator
+    received: int
+    kept: int
+    rejected: dict[str, int]    # every cause of `Rejection`, and those a recording knows
+    strokes: int
+    landmarks: int
+    frame_id: str | None        # frame of the points; None until the first one
+    reason: Reason | None       # of the last registration
+    result: RegistrationResult | None       # the last one, refused or not
+    pose_result: RegistrationResult | None  # the last good one
+    pose_frame_id: str          # frame of its pose
+
+_ADVICE = {
+    Rejection.NOT_FINITE: 'most samples are not numbers: is the probe in view of the tracker?',
+    Rejection.WRONG_FRAME: 'most points are in another frame than the first: set probe.frame_id or clear',
+    Rejection.NOT_MONOTONIC: 'most stamps do not move forward: are they set? If a recording restarted, clear',
+    Rejection.STALE: 'most points come in late: is the network or the computer overloaded?',
+    Rejection.POOR_QUALITY: 'the tracker reports large errors: turn the probe towards it, keep metal away',
+    Rejection.DUPLICATE: 'most points repeat the one before: the tip rests, or the tracker has lost it',
+    Rejection.TOO_FAST: 'most points jump: is the unit of the points right, is there interference?',
+    Rejection.FULL: 'no more points can be held (collect.max_points); register, undo or clear',
+}
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: 1 point, 2 points."""
+    return f'{number} {noun}{"" if number == 1 else "s"}'
+
+
+def sentence(state: str, collection: Collection, result: RegistrationResult | None, held: str,
+             landmarks_to_come: Sequence[str]) -> str:
+    """Return one or two sentences on a `Session` in ``state``; ``held`` says what it has."""
+    if state == 'no_model':
+        return 'no bone model is loaded; set model.path'
+    if state == 'solving':
+        return f'registering; {held}'
+    if result is not None and state in ('registered', 'refused'):
+        return '; '.join(part for part in (result.message, trouble(collection)) if part)
+    parts = [('collecting' if state == 'collecting' else 'not collecting') + f'; {held}', trouble(collection)]
+    if landmarks_to_come:
+        parts.append(f'next landmark is "{landmarks_to_come[0]}"')
+    return '; '.join(part for part in parts if part)
+
+
+def trouble(collection: Collection) -> str:
+    """Return what is wrong with the points, if most of them are refused for one cause, or no more fit in."""
+    counts = collection.counts
+    looked_at = collection.received - counts[Rejection.NOT_COLLECTING.value]
+    for cause, advice in _ADVICE.items():
+        full = cause is Rejection.FULL and counts[cause.value] > 0
+        if full or 2 * counts[cause.value] > max(looked_at, 20):
+            return advice
+    return ''

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tip that rests: the mean of its last moments is a landmark or a verification point."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsdf_registration.config import LandmarksConfig
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array
+
+MOST_SAMPLES = 20_000   # remembered of a source: 2 s at 10 kHz; bounds the memory whatever the stamps say
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Where a tip rested: mean of its samples, m, and how far they lay from it (RMS, largest)."""
+
+    position: Array     # (3,) m, frame of the session
+    spread_rms: float
+    spread_max: float
+    samples: int
+    stamp: float        # of the last sample, s
+
+
+class RestingTip:
+    """
+    Remembers the last moments of every source, and tells which tip rests and where.
+
+    Several probes may be in view, one of them lying on a table: of all that rest, the one that came to rest
+    last is meant.
+    """
+
+    def __init__(self, config: LandmarksConfig) -> None:
+        """Remember ``config.dwell`` seconds; samples within ``config.radius`` of their mean rest."""
+        self.config = config
+        self._sources: dict[int, _Trail] = {}
+
+    def add(self, stamp: float, position: tuple[float, float, float], source: int = 0,
+            arrival: float | None = None) -> None:
+        """Take in a sound sample, stamps of a source rising; seconds and metres."""
+        trail = self._sources.get(source)
+        if trail is None:
+            trail = self._sources[source] = _Trail(stamp, position)
+        trail.add(stamp, position, arrival, self.config)
+
+    def rest(self, now: float | None = None) -> Rest:
+        """
+        Return where the tip rests.
+
+        Parameters
+        ----------
+        now : float, optional
+            Time on the clock of the arrivals, s; a source silent for more than ``dwell`` is then left out.
+
+        Raises
+        ------
+        InputError
+            When no tip is seen, not for long enough, or it moves.
+
+        """
+        dwell, radius = self.config.dwell, self.config.radius
+        trails = [trail for trail in self._sources.values()
+                  if now is None or trail.arrival is None or now - trail.arrival <= dwell]
+        if not trails:
+            raise InputError('no probe tip is seen; bring the probe into view of the tracker, hold it still')
+        long_enough = [trail for trail in trails if trail.lasts(dwell)]
+        if not long_enough:
+            raise InputError(f'the tip has not been seen for {dwell:g} s without a break; hold it still '
+                             'in view and try again')
+        rests = [(trail.rested, trail.mean(dwell)) for trail in long_enough]
+        resting = [(rested, rest) for rested, rest in rests if rest.spread_max <= radius]
+        if not resting:
+            nearest = min((rest for _, rest in rests), key=lambda rest: rest.spread_max)
+            raise InputError(f'the tip moves: {1e3 * nearest.spread_max:.1f} mm within the last {dwell:g} s,'
+                             f' {1e3 * radius:.1f} mm allowed; hold it still and try again')
+        return min(resting, key=lambda pair: pair[0])[1]
+
+
+class _Trail:
+    """The last samples of one source."""
+
+    def __init__(self, stamp: float, position: tuple[float, float, float]) -> None:
+        self.samples: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=MOST_SAMPLES)
+        self.arrival: float | None = None
+        self._anchor = position
+        self._anchor_stamp = stamp
+
+    def add(self, stamp: float, position: tuple[float, float, float], arrival: float | None,
+            config: LandmarksConfig) -> None:
+        samples = self.samples
+        if samples and stamp - samples[-1][0] > 0.5 * config.dwell:
+            samples.clear()     # lost meanwhile: nobody knows where the tip was
+        samples.append((stamp, position))
+        while len(samples) > 1 and samples[1][0] <= stamp - config.dwell:
+            samples.popleft()   # the first one left is just as old as the dwell, or older
+        self.arrival = arrival
+        if math.dist(position, self._anchor) > 2.0 * config.radius:
+            self._anchor, self._anchor_stamp = position, stamp
+
+    def lasts(self, dwell: float) -> bool:
+        return self.samples[0][0] <= self.samples[-1][0] - dwell
+
+    @property
+    def rested(self) -> float:
+        """Time since the tip last moved away from where it was, s."""
+        return self.samples[-1][0] - self._anchor_stamp
+
+    def mean(self, dwell: float) -> Rest:
+        last = self.samples[-1][0]
+        positions = np.array([position for stamp, position in self.samples if stamp >= last - dwell])
+        mean = positions.mean(axis=0)
+        distances = np.linalg.norm(positions - mean, axis=1)
+        return Rest(mean, float(np.sqrt(np.mean(distances**2))), float(distances.max()), len(positions),
+                    last)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Start the registration node: ``ros2 launch gsdf_registration registration.launch.py model:=hip.stl``."""
+
+from __future__ import annotations
+
+from shlex import quote
+
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+
+def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """Return the node and, when a bag is given, its player."""
+    model = LaunchConfiguration('model').perform(context)
+    config = LaunchConfiguration('config').perform(context)
+    bag = LaunchConfiguration('bag').perform(context)
+
+    # model:= wins over model.path in the settings file only when it is given
+    parameters = [config, {'model.path': ParameterValue(model, value_type=str)}] if model else [config]
+    # the node brings itself to active (parameter autostart)
+    node = Node(package='gsdf_registration', executable='registration_node', name='registration',
+                parameters=parameters, output='screen')
+    # the node keeps no points before it is active, and its first start ever compiles for a while
+    wait = 'until ros2 lifecycle get /registration 2>&1 | grep --quiet ^active; do sleep 1; done'
+    player = ExecuteProcess(cmd=[f'{wait}; exec ros2 bag play {quote(bag)}'], shell=True, output='screen')
+    return [node, player] if bag else [node]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the arguments and what they start."""
+    settings = PathJoinSubstitution([FindPackageShare('gsdf_registration'), 'config', 'registration.yaml'])
+    return LaunchDescription([
+        DeclareLaunchArgument('model', default_value='',
+                              description='bone model: path or package:// URI; empty: as in the settings'),
+        DeclareLaunchArgument('config', default_value=settings, description='settings, a ROS parameter file'),
+        DeclareLaunchArgument('bag', default_value='', description='recording to play; empty: none'),
+        OpaqueFunction(function=start),
+    ])

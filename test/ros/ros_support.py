@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the tests over DDS share: nodes as processes, an operator, and a tracker that knows the truth."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PointStamped
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from gsdf_registration.node.operator import Operator
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import angle_between, transform
+from msg_adapters import ros
+from msg_adapters.bag import read_bag
+from msg_adapters.truth import Truth, read_truth
+
+ROOT = Path(__file__).parents[2]
+BAG = ROOT / 'bags' / 'hip_optical'
+TOPICS = ['/probe/tip', '/probe/landmarks', '/probe/second']
+
+
+class NodeProcess:
+    """A registration node as its own process; its log is kept."""
+
+    def __init__(self, log: Path, name: str = 'registration', options: Sequence[str] = (),
+                 **parameters: Any) -> None:
+        words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
+        self.name = f'/{name}'
+        self.log_file = log
+        with log.open('w') as out:
+            self.process = subprocess.Popen(
+                [sys.executable, '-m', 'gsdf_registration.node.main', '--ros-args', '-r', f'__node:={name}',
+                 *options, *words],
+                cwd=ROOT, stdout=out, stderr=out)
+
+    @property
+    def log(self) -> str:
+        return self.log_file.read_text()
+
+    def stop(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+class Client(Operator):
+    """An operator who also changes the lifecycle and reads the status."""
+
+    def __init__(self, node: NodeProcess, patience: float = 60.0) -> None:   # the first start ever compiles
+        super().__init__(node.name, patience, alive=lambda: node.process.poll() is None)
+        self._log = node.log_file
+
+    def spin_until(self, condition: Callable[[], bool], complaint: str) -> None:
+        try:
+            super().spin_until(condition, complaint)
+        except InputError as error:
+            pytest.fail(f'{error.message}; the node says:\n{self._log.read_text()}')
+
+    def change(self, transition: int) -> bool:
+        return bool(self.result(self.begin(transition)).success)
+
+    def begin(self, transition: int) -> Any:
+        request = ChangeState.Request()
+        request.transition.id = transition
+        return self.start(ChangeState, 'change_state', request)
+
+    def set_parameters(self, *parameters: Parameter) -> str:
+        """Set all or none; return why not, empty if they are set."""
+        request = SetParametersAtomically.Request(parameters=[each.to_parameter_msg() for each in parameters])
+        result = self.result(self.start(SetParametersAtomically, 'set_parameters_atomically', request)).result
+        return '' if result.successful else str(result.reason)
+
+    def await_state(self, state: str) -> None:
+        self.spin_until(lambda: self.state() == state, f'the node did not become {state}')
+
+    def status(self, **wanted: str) -> dict[str, str]:
+        """Wait for a status with these values (``__`` for a dot), and return all its values."""
+        want = {key.replace('__', '.'): value for key, value in wanted.items()}
+
+        def fits(message: DiagnosticStatus) -> bool:
+            return want.items() <= values(message).items()
+        message = self.hear(DiagnosticStatus, '~/status', accept=fits)
+        return {**values(message), 'message': message.message}
+
+
+def values(status: DiagnosticStatus) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+class Tracker:
+    """Publishes tip positions of a recording, of which it knows the truth."""
+
+    def __init__(self, client: Client, topics: list[str] = TOPICS) -> None:
+        recording = read_bag(BAG)
+        self.client = client
+        self.truth: Truth = read_truth(BAG.with_suffix('.yaml'))
+        self.positions = recording.positions
+        self.steps = np.diff(recording.stamps, prepend=recording.stamps[0]) + 1e-4
+        self._stamp = 1000.0
+        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+        self._publishers = {topic: client.node.create_publisher(PointStamped, topic, qos) for topic in topics}
+
+    def await_listener(self) -> None:
+        """Send until points come through on every topic: those before both sides know of it are lost."""
+        for topic, publisher in self._publishers.items():
+            self.client.spin_until(publisher.get_subscription_count, f'nobody listens to {topic}')
+            self.client.ask('clear')
+
+            def heard(topic: str = topic) -> bool:
+                self.send(np.zeros((1, 3)), topic=topic, frame_id='tracker')
+                return self.client.status()['received'] != '0'
+            self.client.spin_until(heard, f'no point comes through on {topic}')
+        self.client.ask('clear')
+
+    def send(self, positions: np.ndarray, steps: np.ndarray | float = 0.0125, topic: str = '/probe/tip',
+             frame_id: str = 'tracker') -> None:
+        for position, step in zip(positions, np.broadcast_to(steps, len(positions))):
+            self._stamp += float(step)
+            stamp = ros.seconds_to_stamp(self._stamp)
+            self._publishers[topic].publish(ros.point_msg(position, frame_id, stamp))
+            time.sleep(0.0005)      # a tracker is not faster
+
+    def touch_landmarks(self, T_moved: np.ndarray) -> None:
+        """Rest at each landmark, and have it captured."""
+        for place in transform(T_moved, self.truth.landmarks_tracker):
+            self.send(np.tile(place, (50, 1)))
+            self.client.spin_until(lambda: self.client.ask('capture_landmark').success, 'none was captured')
+
+    def drag(self, T_moved: np.ndarray, topic: str = '/probe/tip') -> None:
+        """Collect the recorded points."""
+        self.client.collect(True)
+        self.send(transform(T_moved, self.positions), self.steps, topic)
+        self.client.spin_until(lambda: int(self.client.status()['kept']) > 600, 'points were lost')
+        self.client.collect(False)
+
+    def assert_near_truth(self, T: np.ndarray, T_moved: np.ndarray) -> None:
+        """Compare a pose with the truth: 1 degree, and 1 mm at the landmarks."""
+        T_true = T_moved @ self.truth.T_tracker_bone
+        places = self.truth.landmarks_model
+        assert np.degrees(angle_between(T[:3, :3], T_true[:3, :3])) < 1.0
+        assert np.linalg.norm(transform(T, places) - transform(T_true, places), axis=1).max() < 1e-3

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demonstration shows what it promises."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import pytest
+from ros_support import ROOT
+
+pytestmark = pytest.mark.ros
+
+
+def test_the_demonstration_finds_the_bone() -> None:
+    done = subprocess.run([sys.executable, '-m', 'gsdf_registration.cli.main', 'demo'], cwd=ROOT,
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    error = re.search(r'TRE over the bone ([\d.]+) mm RMS', done.stdout)
+    assert error is not None, done.stdout
+    assert float(error[1]) < 1.0
+    assert re.search(r'the node saw +\d+ points; kept \d+ in \d+ strokes', done.stdout)

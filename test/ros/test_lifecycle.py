@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The states of the node, and what it does in each."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from rclpy.parameter import Parameter
+from ros_support import Client, NodeProcess, Tracker
+
+pytestmark = pytest.mark.ros
+StartNode = Callable[..., NodeProcess]
+
+
+def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode, parameters: dict[str, Any]) -> None:
+    node = start_node('managed', **parameters | {'autostart': 'false', 'collect.automatic': 'true'})
+    with Client(node) as client:
+        assert client.state() == 'unconfigured'
+        assert client.ask('register').message == 'the node is unconfigured; activate it first'
+        for transition, state in ((Transition.TRANSITION_CONFIGURE, 'inactive'),
+                                  (Transition.TRANSITION_ACTIVATE, 'active'),
+                                  (Transition.TRANSITION_DEACTIVATE, 'inactive')):
+            assert client.change(transition)
+            assert client.state() == state
+            assert client.ask('undo').message == ('there is no stroke to undo' if state == 'active' else
+                                                  'the node is inactive; activate it first')
+        tracker = Tracker(client)
+
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        tracker.await_listener()
+        tracker.send(tracker.positions[:10])
+        kept = client.status(state='collecting', kept='10')['received']
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        tracker.send(tracker.positions[10:30])      # an inactive node hears them all the same
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        tracker.send(tracker.positions[30:31])
+        assert client.status(kept='11')['received'] == str(int(kept) + 1)
+
+        assert client.change(Transition.TRANSITION_DEACTIVATE)
+        assert client.change(Transition.TRANSITION_CLEANUP)
+        assert client.status(received='0')['message'] == 'the node is unconfigured; activate it first'
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert client.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
+        assert client.state() == 'finalized'
+    node.process.send_signal(signal.SIGTERM)
+    assert node.process.wait(timeout=2.0) == 0
+
+
+@pytest.mark.parametrize('path, message', [
+    ('no/such/bone.stl', 'no/such/bone.stl'),
+    ('package://no_such_package/bone.stl', 'no_such_package'),
+])
+def test_a_model_that_cannot_be_loaded_is_told_and_can_be_mended(
+        start_node: StartNode, parameters: dict[str, Any], path: str, message: str) -> None:
+    node = start_node('mended', **parameters | {'model.path': path})
+    with Client(node) as client:
+        status = client.status(state='no_model', reason='no_model')
+        assert message in status['message']
+        assert client.state() == 'unconfigured'
+        answer = client.ask('register')
+        assert not answer.success
+        assert answer.message == status['message']
+        assert 'Traceback' not in node.log
+        good = Parameter('model.path', Parameter.Type.STRING, str(parameters['model.path']))
+        assert client.set_parameters(good) == ''
+        assert client.change(Transition.TRANSITION_CONFIGURE)
+        assert client.change(Transition.TRANSITION_ACTIVATE)
+        client.status(state='idle')
+
+
+def test_without_a_model_points_are_collected_but_not_registered(start_node: StartNode) -> None:
+    node = start_node('bare')
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client, topics=['/probe/tip'])
+        tracker.await_listener()
+        tracker.send(tracker.positions[:40])
+        client.status(state='no_model', kept='40')
+        answer = client.ask('register')
+        assert not answer.success
+        assert answer.message.startswith('no_model: ')
+
+
+def test_a_reference_array_is_not_passed_over(start_node: StartNode, parameters: dict[str, Any]) -> None:
+    node = start_node('referenced', **parameters | {'reference.topic': '/array'})
+    with Client(node) as client:
+        assert 'reference.topic is not supported' in client.status(state='no_model')['message']

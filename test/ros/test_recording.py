@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording played into the node by another process gives the bone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from ros_support import BAG, ROOT, Client, NodeProcess, Tracker
+
+from msg_adapters import ros
+
+pytestmark = pytest.mark.ros
+
+
+def player(*options: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, '-m', 'gsdf_registration.node.player', str(BAG), '--rate', '8',
+                             *options], cwd=ROOT)
+
+
+@pytest.mark.parametrize('options, topics', [
+    ([], ['/probe/tip']),
+    (['--best-effort'], ['/probe/tip', '/probe/second']),
+], ids=['reliable', 'best effort, two probes'])
+def test_recording_gives_the_bone(shared_node: NodeProcess, tracker: Tracker, options: list[str],
+                                  topics: list[str]) -> None:
+    client = tracker.client
+    with player('--topic', '/probe/landmarks', *options):
+        for name in tracker.truth.landmark_names:
+            client.spin_until(lambda: client.ask('capture_landmark').success, f'{name} was not captured')
+    client.collect(True)
+    players = [player('--topic', '/probe/tip', '--as', topic, *options) for topic in topics]
+    assert [process.wait() for process in players] == [0] * len(topics)
+    client.collect(False)
+    answer = client.ask('register')
+    assert answer.success, answer.message
+
+    with Client(shared_node) as late_joiner:
+        pose = late_joiner.hear(PoseStamped, '~/bone_pose')
+        with_covariance = late_joiner.hear(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
+        status = late_joiner.status(state='registered')
+    _, T, frame_id = ros.pose_from(pose)
+    assert frame_id == 'tracker'
+    tracker.assert_near_truth(T, np.eye(4))
+    assert with_covariance.pose.pose == pose.pose
+    assert np.linalg.eigvalsh(np.reshape(with_covariance.pose.covariance, (6, 6))).min() > 0.0
+    assert int(status['kept']) > 600 * len(topics)
+    assert status['landmarks'] == '3'

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small smooth bone, no two of whose sides are alike, and points touched on it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import trimesh
+
+from gsdf_registration.bone import make_bone
+from gsdf_registration.field import Field, build_field
+from gsdf_registration.rigid import Array, exp
+
+LANDMARKS = np.array([[0.034, 0.0, 0.0], [0.0, 0.045, 0.0], [0.0, 0.0, 0.066]])
+T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
+
+
+def ball_mesh(radii: Array, bumps: tuple[tuple[Array, float], ...] = ()) -> trimesh.Trimesh:
+    """Return an ellipsoid, m, with a smooth bump (direction, relative height) for each of ``bumps``."""
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    scale = np.ones(len(ball.vertices))
+    for direction, height in bumps:
+        scale += height * np.exp(4.0 * (ball.vertices @ (direction / np.linalg.norm(direction)) - 1.0))
+    return trimesh.Trimesh(ball.vertices * radii * scale[:, None], ball.faces, process=False)
+
+
+@cache
+def bone_mesh() -> trimesh.Trimesh:
+    """Return the surface of the bone, m."""
+    return ball_mesh(np.array([0.03, 0.04, 0.055]),
+                     ((np.array([1.0, 1.0, 0.6]), 0.5), (np.array([-1.0, 0.3, -1.0]), 0.4),
+                      (np.array([0.2, -1.0, 0.8]), -0.3)))
+
+
+def field_of(mesh: trimesh.Trimesh, voxel_size: float = 0.001) -> Field:
+    """Return the field of a mesh in metres."""
+    return build_field(make_bone(np.asarray(mesh.vertices), np.asarray(mesh.faces)), voxel_size)
+
+
+@cache
+def bone_field() -> Field:
+    """Return the field of the bone."""
+    return field_of(bone_mesh())
+
+
+def touched(n: int, seed: int = 0, sigma: float = 0.0, radius: float = 0.045,
+            mesh: trimesh.Trimesh | None = None) -> Array:
+    """
+    Return ``n`` points (n, 3) of the bone's surface, bone frame, m, with isotropic noise.
+
+    They lie within ``radius`` of the surface point farthest in +x, as what a wound exposes.
+    """
+    mesh = bone_mesh() if mesh is None else mesh
+    rng = np.random.default_rng(seed)
+    points, _ = trimesh.sample.sample_surface(mesh, 40_000, seed=seed)
+    centre = mesh.vertices[np.argmax(mesh.vertices[:, 0])]
+    near = points[np.linalg.norm(points - centre, axis=1) < radius]
+    chosen = near[rng.choice(len(near), n, replace=False)]
+    return np.asarray(chosen + sigma * rng.normal(size=chosen.shape))
