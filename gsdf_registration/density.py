@@ -14,6 +14,7 @@ from gsdf_registration.rigid import Array
 
 MIN_NEIGHBOURS = 4      # of a point in a stroke: samples 0.3-0.6 mm apart have a dozen and more
 MIN_CLUSTER = 12        # points in a stroke
+SIFT = 10               # cubes along the radius
 
 
 def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
@@ -33,15 +34,19 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
     (n,) bool
 
     """
-    tree = cKDTree(points)
-    neighbours = tree.query_ball_point(points, radius, return_length=True) - 1
+    _, first, cube = np.unique(np.floor(points * (SIFT / radius)).astype(np.int64), axis=0,
+                               return_index=True, return_inverse=True)
+    sifted = points[first]      # one of each small cube: a resting tip must not slow this down
+    tree = cKDTree(sifted)
+    neighbours = tree.query_ball_point(sifted, radius, return_length=True) - 1
     dense = neighbours >= _least_neighbours(neighbours)
-    pairs = cKDTree(points[dense]).query_pairs(radius, output_type='ndarray') if dense.any() else np.empty((0, 2), int)
-    count = int(dense.sum())
-    links = coo_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(count, count))
-    _, cluster = connected_components(links, directed=False)
-    dense[dense] = np.bincount(cluster)[cluster] >= MIN_CLUSTER if count else False
-    return dense if dense.any() else np.ones(len(points), dtype=bool)
+    if dense.any():
+        pairs = cKDTree(sifted[dense]).query_pairs(radius, output_type='ndarray')
+        count = int(dense.sum())
+        links = coo_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(count, count))
+        _, cluster = connected_components(links, directed=False)
+        dense[dense] = np.bincount(cluster)[cluster] >= MIN_CLUSTER
+    return dense[cube.ravel()] if dense.any() else np.ones(len(points), dtype=bool)
 
 
 def _least_neighbours(neighbours: NDArray[np.intp]) -> int:
@@ -84,3 +89,10 @@ def thinned(points: Array, spacing: float) -> NDArray[np.intp]:
     off = ((points - mean[cube]) ** 2).sum(axis=1)
     order = np.lexsort((off, cube))
     return order[np.r_[True, np.diff(cube[order]) > 0]]
+
+
+def first_of_each(points: Array) -> NDArray[np.bool_]:
+    """Tell which of the points (n, 3) are not exact repeats of earlier ones: a reading repeated adds nothing."""
+    first = np.zeros(len(points), dtype=bool)
+    first[np.unique(points, axis=0, return_index=True)[1]] = True
+    return first

@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 from time import perf_counter
-from typing import Callable
+from typing import Any, Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gsdf_registration import rigid
 from gsdf_registration.basins import choose
 from gsdf_registration.confidence import assess
 from gsdf_registration.config import Config, LimitsConfig
-from gsdf_registration.density import on_strokes
+from gsdf_registration.density import first_of_each, on_strokes
 from gsdf_registration.field import Field
 from gsdf_registration.judgement import describe, judge, length, summary
 from gsdf_registration.landmarks import pose_from_landmarks
@@ -24,7 +24,6 @@ from gsdf_registration.solver import solve
 
 
 def register(points: ArrayLike, field: Field, config: Config = Config(), *,
-             stamps: ArrayLike | None = None, strokes: ArrayLike | None = None,
              landmarks: tuple[ArrayLike, ArrayLike] | None = None, T_tracker_bone: ArrayLike | None = None,
              cancelled: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None,
              history: bool = False) -> RegistrationResult:
@@ -38,9 +37,6 @@ def register(points: ArrayLike, field: Field, config: Config = Config(), *,
     field : Field
         Of the bone.
     config : Config
-    stamps : (n,) float, seconds, optional
-    strokes : (n,) int, optional
-        Which stroke each point belongs to.
     landmarks : (model (k, 3) in the bone frame, touched (k, 3) in the tracker frame), metres, optional
         For a first guess.
     T_tracker_bone : (4, 4) float, metres, optional
@@ -55,34 +51,46 @@ def register(points: ArrayLike, field: Field, config: Config = Config(), *,
         With a pose, or refused with a reason; bad data are a refusal too, never an exception.
 
     """
-    clock = [perf_counter()]
+    started = perf_counter()
     received = np.size(points, 0) if np.ndim(points) else 0
     try:
         # Refuse what no solver could answer
         points = check_points(points, field, config.limits)
         guess = first_guess(landmarks, T_tracker_bone)
-        # Points on strokes; the rest is strewn interference
-        dense = on_strokes(points, config.search.radius)
-        # Where the bone may be: round the guess, or anywhere
-        basins = find_basins(points[dense], field, config.search, guess, cancelled, progress)[:config.search.solutions]
-        starts = basins if guess is None else [guess, *basins]
-        clock.append(perf_counter())
-        # The best of the local solutions, and the next-best elsewhere
-        choice = choose([solve(points[dense], field, T, config.solver, history) for T in starts],
-                        points[dense], field, config.solver)
-        # How good is it, and is that good enough?
-        confidence = assess(choice.solution, points[dense], config.solver.neighbours)
-        known = describe(choice, confidence, dense, field, config)
-        refusal = judge(known, choice.solution, points[dense], config.limits)
+        # Points on strokes, each once; the rest is strewn interference or a reading repeated
+        dense = on_strokes(points, config.search.radius) & first_of_each(points)
+        # Round the guess, if there is one; anywhere, if there is none or what it led to does not convince
+        for start in (None,) if guess is None else (guess, None):
+            known, refusal = _attempt(points, dense, start, field, config, cancelled, progress, history)
+            if refusal is None:
+                break
     except Refusal as bad:
         return RegistrationResult.refused(bad.reason, bad.message, received=received)
-    clock.append(perf_counter())
-    known |= {'received': received, 'timing_s': {'search': clock[1] - clock[0], 'solve': clock[2] - clock[1],
-                                                 'total': clock[2] - clock[0]}}
+    known['received'] = received
+    known['timing_s']['total'] = perf_counter() - started
     if refusal is None:
         return RegistrationResult(Reason.CONVERGED, summary(known), **known)
     return RegistrationResult.refused(refusal.reason, refusal.message,
                                       **{key: known[key] for key in known.keys() - {'T_tracker_bone', 'covariance'}})
+
+
+def _attempt(points: Array, dense: NDArray[np.bool_], guess: Array | None, field: Field, config: Config,
+             cancelled: Callable[[], bool] | None, progress: Callable[[float], None] | None, history: bool,
+             ) -> tuple[dict[str, Any], Refusal | None]:
+    """Return what is known of the best pose round a guess (None: anywhere), and why it must not be used."""
+    used = points[dense]
+    started = perf_counter()
+    # Where the bone may be
+    basins = find_basins(used, field, config.search, guess, cancelled, progress)[:config.search.solutions]
+    found = perf_counter()
+    # The best of the local solutions, and the next-best elsewhere
+    starts = basins if guess is None else [guess, *basins]
+    choice = choose([solve(used, field, T, config.solver, history) for T in starts], used, field, config.solver)
+    # How good is it, and is that good enough?
+    confidence = assess(choice.solution, used, config.solver.neighbours)
+    known = describe(choice, confidence, dense, field, config)
+    known['timing_s'] = {'search': found - started, 'solve': perf_counter() - found}
+    return known, judge(known, choice.solution, used, config.limits)
 
 
 def check_points(points: ArrayLike, field: Field, limits: LimitsConfig) -> Array:
@@ -104,9 +112,10 @@ def check_points(points: ArrayLike, field: Field, limits: LimitsConfig) -> Array
         raise Refusal(Reason.TOO_FEW_POINTS, f'{len(points)} points are too few, {limits.min_points} are needed; '
                       'go on dragging the probe over the bone')
     extent = float(np.ptp(np.percentile(points, [5.0, 95.0], axis=0), axis=0).max())
-    if extent > 20.0 * field.extent or 0.0 < extent < 0.005 * limits.min_extent:
+    # a thousand times too large or too small, on a bone that may be exposed from one end to the other
+    if not 0.002 * field.extent < extent < 20.0 * field.extent and extent > 0.0:
         raise Refusal(Reason.WRONG_UNIT, f'the points span {length(extent)} and the bone {length(field.extent)}: '
-                      'their unit is not the one stated')
+                      'check the unit of the points (m or mm), and that the tip was moved')
     if extent < limits.min_extent:
         raise Refusal(Reason.REGION_TOO_SMALL, f'the points span only {length(extent)}, {length(limits.min_extent)} are '
                       'needed; drag the probe over more of the bone')

@@ -153,8 +153,7 @@ class Session:
             self._solving = True
         try:
             result = register(
-                points.positions, field, config, stamps=points.stamps, strokes=points.strokes,
-                landmarks=landmarks, T_tracker_bone=T_tracker_bone, progress=progress,
+                points.positions, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone, progress=progress,
                 cancelled=lambda: self._era != era or (cancelled is not None and cancelled()))
         except BaseException:
             self._solving = False

@@ -79,8 +79,7 @@ def registered(recording: Recording, field: Field, config: Config, landmarks: La
 
     if recording.stamps is None:
         finite = np.isfinite(recording.positions).all(axis=1)
-        strokes = None if recording.strokes is None else recording.strokes[finite]
-        result = register(recording.positions[finite], field, config, strokes=strokes, landmarks=landmarks,
+        result = register(recording.positions[finite], field, config, landmarks=landmarks,
                           T_tracker_bone=T_tracker_bone)
         return (dataclasses.replace(result, received=len(recording)),
                 {str(Rejection.NOT_FINITE): int((~finite).sum())})

@@ -12,7 +12,6 @@ they choose the triangle, from which the sample is then computed in double preci
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -24,32 +23,24 @@ LANES = 16      # nodes of a group, at most
 
 _f = np.float32
 _compiled = nb.njit(nogil=True, cache=True)
-_inline = nb.njit(nogil=True, cache=True, forceinline=True)
 _vector = nb.njit(nogil=True, cache=True, fastmath=True)
 
 
-class Candidates(NamedTuple):
-    """
-    Triangles that may be nearest to a node of the block, with room for all; positions from the block's centre.
+def _groups() -> np.ndarray:
+    """Return rows (first i, j, k, one past the last i, j, k): a quarter of a block's nodes, or what is on a far side."""
+    quarters = [(0, j, k, CELLS, j + 2, k + 2) for j in range(0, CELLS, 2) for k in range(0, CELLS, 2)]
+    sides = [(CELLS * i, CELLS * j, CELLS * k, CELLS + i, CELLS + j, CELLS + k)
+             for i, j, k in np.ndindex(2, 2, 2) if i or j or k]
+    return np.array(quarters + sides)
 
-    triangle : (room,) int32
-    disc : (7, room) float32, centre, radius and normal of their bounding discs
-    corner : (room, 3) float32, corner a in the axes of the triangle
-    bound : (room,) float32, lower bounds of squared distances to a point
-    chosen : (room,) int32, the ones that may be nearest to a node of the group
-    """
 
-    triangle: np.ndarray
-    disc: np.ndarray
-    corner: np.ndarray
-    bound: np.ndarray
-    chosen: np.ndarray
+GROUPS = _groups()
 
 
 @_compiled
 def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest):
     """
-    Fill the fine nodes of some blocks, but for those on their far faces that another block has too.
+    Fill the fine nodes of some blocks, but for those on their far sides that another block has too.
 
     Parameters
     ----------
@@ -61,25 +52,31 @@ def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest)
     nearest : (n, 2, 2, 2) int32, filled with the triangles nearest to the corners
 
     """
-    room = len(tree.triangle)
-    near = Candidates(np.empty(room, np.int32), np.empty((7, room), np.float32), np.empty((room, 3), np.float32),
-                      np.empty(room, np.float32), np.empty(room, np.int32))
-    lanes = np.zeros(4 * LANES, np.float32)
+    # what passes into the inner loops are plain arrays: those of a tuple are counted in and out every time
+    triangle, axes, normal = tree.triangle, tree.axes, tree.normal
+    room = len(triangle)
+    candidate = np.empty(room, np.int32)
+    disc = np.empty((7, room), np.float32)
+    corner = np.empty((room, 3), np.float32)
+    bound = np.empty(room, np.float32)
+    chosen = np.empty(room, np.int32)
+    lanes = np.zeros((4, LANES), np.float32)
     best = np.zeros(LANES, np.int32)
     centre = np.empty(3)
     for b in range(len(cells)):
         for a in range(3):
             centre[a] = origin[a] + (cells[b, a] + 0.5) * CELLS * voxel
-        n = _gather(tree, centre, (distances[b] + math.sqrt(3.0) * CELLS * voxel) * (1.0 + 1e-6), near)
-        for o in range(8):      # the nodes that belong to this block, then those of the blocks beyond
-            oi, oj, ok = o >> 2, o >> 1 & 1, o & 1
-            if o > 0 and block_of[cells[b, 0] + oi, cells[b, 1] + oj, cells[b, 2] + ok] >= 0:
+        reach = (distances[b] + math.sqrt(3.0) * CELLS * voxel) * (1.0 + 1e-6)
+        n = _gather(tree, centre, reach, candidate, disc, corner)
+        for g in range(len(GROUPS)):
+            if (GROUPS[g, 3:].max() > CELLS
+                    and block_of[cells[b, 0] + GROUPS[g, 0] // CELLS, cells[b, 1] + GROUPS[g, 1] // CELLS,
+                                 cells[b, 2] + GROUPS[g, 2] // CELLS] >= 0):
                 continue
-            step = 2 if o == 0 else CELLS
-            for j in range(CELLS * oj, CELLS + oj, step):
-                for k in range(CELLS * ok, CELLS + ok, step):
-                    _fill_group(tree, near, n, centre, voxel, CELLS * oi, j, k, CELLS + oi, min(j + step, CELLS + oj),
-                                min(k + step, CELLS + ok), lanes, best, b, nodes, nearest)
+            m = _narrow(triangle, candidate, disc, n, centre, voxel, g, bound, chosen)
+            _place(voxel, g, lanes)
+            _measure(axes, candidate, corner, chosen, m, lanes, best)
+            _write(triangle, normal, candidate, best, centre, voxel, g, b, nodes, nearest)
 
 
 @_compiled
@@ -99,10 +96,14 @@ def copy_far_faces(block_of, cells, blocks):
 
 
 @_compiled
-def _gather(tree, centre, radius, near):
-    """Put all triangles that may lie within ``radius`` of ``centre`` into ``near`` and return their number."""
-    box, start, triangle, disc, axes = tree.box, tree.start, tree.triangle, tree.disc, tree.axes
-    candidate, near_disc, near_corner = near.triangle, near.disc, near.corner
+def _gather(tree, centre, radius, candidate, disc, corner):
+    """
+    Find all triangles that may lie within ``radius`` of ``centre`` and return their number; positions are from there.
+
+    ``candidate`` (room,) int32, the triangles; ``disc`` (7, room) float32, centre, radius and normal of their bounding discs;
+    ``corner`` (room, 3) float32, corner a in the axes of the triangle.
+    """
+    box, start, triangle, tree_disc, axes = tree.box, tree.start, tree.triangle, tree.disc, tree.axes
     leaves = len(start) - 1
     stack = np.empty(64, np.int64)
     stack[0] = 1
@@ -122,72 +123,73 @@ def _gather(tree, centre, radius, near):
             top += 2
             continue
         for t in range(start[node - leaves], start[node - leaves + 1]):
-            x = disc[t, 0] - centre[0]
-            y = disc[t, 1] - centre[1]
-            z = disc[t, 2] - centre[2]
-            if x * x + y * y + z * z <= (radius + disc[t, 3]) ** 2:
+            x = tree_disc[t, 0] - centre[0]
+            y = tree_disc[t, 1] - centre[1]
+            z = tree_disc[t, 2] - centre[2]
+            if x * x + y * y + z * z <= (radius + tree_disc[t, 3]) ** 2:
                 candidate[n] = t
-                near_disc[0, n] = x
-                near_disc[1, n] = y
-                near_disc[2, n] = z
-                near_disc[3, n] = disc[t, 3]
+                disc[0, n], disc[1, n], disc[2, n], disc[3, n] = x, y, z, tree_disc[t, 3]
                 x = triangle[t, 0] - centre[0]
                 y = triangle[t, 1] - centre[1]
                 z = triangle[t, 2] - centre[2]
                 for a in range(3):
-                    near_disc[4 + a, n] = axes[t, 6 + a]
-                    near_corner[n, a] = (axes[t, 3 * a] * x + axes[t, 3 * a + 1] * y
-                                         + axes[t, 3 * a + 2] * z)
+                    disc[4 + a, n] = axes[t, 6 + a]
+                    corner[n, a] = axes[t, 3 * a] * x + axes[t, 3 * a + 1] * y + axes[t, 3 * a + 2] * z
                 n += 1
     return n
 
 
-@_inline
-def _fill_group(tree, near, n, centre, voxel, i0, j0, k0, i1, j1, k1, lanes, best, block, nodes, nearest):
-    """Fill the nodes of a block from (i0, j0, k0) to before (i1, j1, k1)."""
-    triangle, normal, candidate = tree.triangle, tree.normal, near.triangle
-    half = 0.5 * CELLS
-    lane = 0
-    for i in range(i0, i1):
-        for j in range(j0, j1):
-            for k in range(k0, k1):
-                lanes[lane] = (i - half) * voxel
-                lanes[LANES + lane] = (j - half) * voxel
-                lanes[2 * LANES + lane] = (k - half) * voxel
-                lane += 1
-    m = _narrow(tree, near, n, centre, (0.5 * (i0 + i1 - 1) - half) * voxel, (0.5 * (j0 + j1 - 1) - half) * voxel,
-                (0.5 * (k0 + k1 - 1) - half) * voxel,
-                voxel * math.sqrt((i1 - i0 - 1) ** 2 + (j1 - j0 - 1) ** 2 + (k1 - k0 - 1) ** 2))
-    _measure(tree.axes, near.triangle, near.corner, near.chosen, m, lanes, best)
-    lane = 0
-    for i in range(i0, i1):
-        for j in range(j0, j1):
-            for k in range(k0, k1):
-                t = candidate[best[lane]]
-                write_sample(triangle, normal, t, centre[0] + (i - half) * voxel, centre[1] + (j - half) * voxel,
-                             centre[2] + (k - half) * voxel, 1e-6 * voxel, nodes,
-                             ((block * NODES + i) * NODES + j) * NODES + k)
-                if i % CELLS == 0 and j % CELLS == 0 and k % CELLS == 0:
-                    nearest[block, i // CELLS, j // CELLS, k // CELLS] = t
-                lane += 1
-
-
-@_inline
-def _narrow(tree, near, n, centre, x, y, z, diagonal):
-    """Choose the candidates that may be nearest within half of ``diagonal`` of (x, y, z); return their number."""
-    _disc_bounds(near.disc, n, _f(x), _f(y), _f(z), near.bound)
-    bound, chosen = near.bound, near.chosen
+@_compiled
+def _narrow(triangle, candidate, disc, n, centre, voxel, g, bound, chosen):
+    """Choose the candidates that may be nearest to a node of group ``g`` and return their number."""
+    x = 0.5 * (GROUPS[g, 0] + GROUPS[g, 3] - NODES) * voxel
+    y = 0.5 * (GROUPS[g, 1] + GROUPS[g, 4] - NODES) * voxel
+    z = 0.5 * (GROUPS[g, 2] + GROUPS[g, 5] - NODES) * voxel
+    diagonal = voxel * math.sqrt((GROUPS[g, 3] - GROUPS[g, 0] - 1) ** 2 + (GROUPS[g, 4] - GROUPS[g, 1] - 1) ** 2
+                                 + (GROUPS[g, 5] - GROUPS[g, 2] - 1) ** 2)
+    _disc_bounds(disc, n, _f(x), _f(y), _f(z), bound)
     least = 0
     for c in range(n):
         if bound[c] < bound[least]:
             least = c
-    dmin = math.sqrt(distance2(tree.triangle, near.triangle[least], centre[0] + x, centre[1] + y, centre[2] + z))
+    dmin = math.sqrt(distance2(triangle, candidate[least], centre[0] + x, centre[1] + y, centre[2] + z))
     limit = _f((dmin + diagonal) ** 2 * (1.0 + 1e-5))
     m = 0
     for c in range(n):      # written every time, counted if it fits: no branch to mispredict
         chosen[m] = c
         m += bound[c] <= limit
     return m
+
+
+@_compiled
+def _place(voxel, g, lanes):
+    """Put the nodes of group ``g``, from the centre of the block, in the ``lanes``."""
+    lane = 0
+    for i in range(GROUPS[g, 0], GROUPS[g, 3]):
+        for j in range(GROUPS[g, 1], GROUPS[g, 4]):
+            for k in range(GROUPS[g, 2], GROUPS[g, 5]):
+                lanes[0, lane] = (i - 0.5 * CELLS) * voxel
+                lanes[1, lane] = (j - 0.5 * CELLS) * voxel
+                lanes[2, lane] = (k - 0.5 * CELLS) * voxel
+                lane += 1
+
+
+@_compiled
+def _write(triangle, normal, candidate, best, centre, voxel, g, block, nodes, nearest):
+    """Write the samples of group ``g``, whose nearest candidates are the ``best``."""
+    lane = 0
+    for i in range(GROUPS[g, 0], GROUPS[g, 3]):
+        x = centre[0] + (i - 0.5 * CELLS) * voxel
+        for j in range(GROUPS[g, 1], GROUPS[g, 4]):
+            y = centre[1] + (j - 0.5 * CELLS) * voxel
+            for k in range(GROUPS[g, 2], GROUPS[g, 5]):
+                z = centre[2] + (k - 0.5 * CELLS) * voxel
+                t = candidate[best[lane]]
+                lane += 1
+                write_sample(triangle, normal, t, x, y, z, 1e-6 * voxel, nodes,
+                             ((block * NODES + i) * NODES + j) * NODES + k)
+                if i % CELLS == 0 and j % CELLS == 0 and k % CELLS == 0:
+                    nearest[block, i // CELLS, j // CELLS, k // CELLS] = t
 
 
 @_vector
@@ -206,27 +208,27 @@ def _disc_bounds(disc, n, x, y, z, bound):
 
 
 @_vector
-def _measure(axes, triangle, corner, chosen, m, lanes, best):
+def _measure(axes, candidate, corner, chosen, m, lanes, best):
     """
     Find the triangle nearest to the point in each lane.
 
     In the axes of a triangle its corners are (0, 0), (b, 0) and (p, q), and the distance is that in the plane, to the
     nearest edge or zero inside, and the height above it.
 
-    ``lanes`` (4 LANES,) float32: x, y, z and room for the distances; ``best`` (LANES,) is filled.
+    ``lanes`` (4, LANES) float32: x, y, z and room for the distances; ``best`` (LANES,) is filled.
     """
     zero, one = _f(0.0), _f(1.0)
-    lanes[3 * LANES:] = np.inf
+    lanes[3] = np.inf
     for c in range(m):
         a = chosen[c]
-        t = triangle[a]
+        t = candidate[a]
         ux, uy, uz = axes[t, 0], axes[t, 1], axes[t, 2]
         vx, vy, vz = axes[t, 3], axes[t, 4], axes[t, 5]
         nx, ny, nz = axes[t, 6], axes[t, 7], axes[t, 8]
         b, p, q, per_ac, per_bc = axes[t, 9], axes[t, 10], axes[t, 11], axes[t, 12], axes[t, 13]
         u0, v0, n0 = corner[a, 0], corner[a, 1], corner[a, 2]
         for i in range(LANES):
-            x, y, z = lanes[i], lanes[LANES + i], lanes[2 * LANES + i]
+            x, y, z = lanes[0, i], lanes[1, i], lanes[2, i]
             u = ux * x + uy * y + uz * z - u0
             v = vx * x + vy * y + vz * z - v0
             h = nx * x + ny * y + nz * z - n0
@@ -250,6 +252,6 @@ def _measure(axes, triangle, corner, chosen, m, lanes, best):
             d2 = e2 if e2 < d2 else d2
             d2 = zero if (v > zero) & (q * u > p * v) & (q * w < r * v) else d2
             d2 += h * h
-            nearer = d2 < lanes[3 * LANES + i]
-            lanes[3 * LANES + i] = d2 if nearer else lanes[3 * LANES + i]
+            nearer = d2 < lanes[3, i]
+            lanes[3, i] = d2 if nearer else lanes[3, i]
             best[i] = a if nearer else best[i]

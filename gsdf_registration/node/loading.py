@@ -39,7 +39,7 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
         reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
         raise InputError(error.message, reason) from None
     # compiles the solver, so that the first registration is as quick as any
-    register(field.surface_points[:100].astype(np.float64), field, config, T_tracker_bone=np.eye(4))
+    register(field.surface_points[::50].astype(np.float64), field, config, T_tracker_bone=np.eye(4))
     log.info(f'{path} is loaded')
     return field
 

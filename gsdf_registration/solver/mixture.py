@@ -45,12 +45,13 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
     dx = np.zeros(6)
     mean = np.zeros(n)
     size = math.sqrt((points * points).sum() / n)
+    floor = 0.01 * field.voxel      # the field itself is no better
     share = 0.7
     strict = False
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
         _local_means(e, neighbours, reach, mean)
-        noise = _white_noise(e, mean, K, reach)
+        noise = _white_noise(e, mean, K, reach, floor)
         white = noise / math.sqrt(K)
         if not strict:
             scatter = max(scatter * cooling, white)
@@ -73,7 +74,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
             break
     linearize(field, points, R, t, keep, e, J)
     _local_means(e, neighbours, reach, mean)
-    likelihood = _expectation(e, mean, K, share, _white_noise(e, mean, K, reach), scatter, reach, weight)
+    likelihood = _expectation(e, mean, K, share, _white_noise(e, mean, K, reach, floor), scatter, reach, weight)
     settled = history[iteration, 1] * size + history[iteration, 2] < tolerance
     return SETTLED if settled else EXHAUSTED, iteration + 1, scatter, likelihood
 
@@ -94,7 +95,7 @@ def _local_means(e, neighbours, reach, mean):
 
 
 @kernel
-def _white_noise(e, mean, K, reach):
+def _white_noise(e, mean, K, reach, floor):
     """Return the standard deviation of the noise from the differences to the local means, which a wrong pose hardly changes."""
     difference = np.empty(len(e))
     count = 0
@@ -104,7 +105,7 @@ def _white_noise(e, mean, K, reach):
             count += 1
     # the median absolute deviation; the mean holds 1/K of the point itself
     noise = 1.4826 * np.median(difference[:count]) / math.sqrt(1.0 - 1.0 / K) if count else 0.0
-    return max(noise, 1e-6 * reach)
+    return max(noise, floor)
 
 
 @kernel
