@@ -64,7 +64,8 @@ setup(
         'report': ['plotly>=5'],
         'bench': ['libigl>=2.5', 'open3d>=0.18', 'small_gicp>=1.0'],
         'test': [
-            'pytest>=8', 'pytest-timeout', 'hypothesis', 'ruff==0.17.6', 'mypy==2.4.1', 'types-PyYAML', 'scikit-image',
+            'pytest>=8', 'pytest-timeout', 'hypothesis', 'ruff==0.17.6', 'mypy==2.4.1', 'types-PyYAML',
+            'scikit-image',
             'colcon-common-extensions==0.3.0',
             # What builds tf2_msgs, see test/ros/tf2_msgs/build.py.
             'cmake', 'ninja', 'catkin_pkg==1.1.1',

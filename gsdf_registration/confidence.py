@@ -8,15 +8,16 @@ centroid of the points: for a target q the motion is B_q [xi, phi] with B_q = [-
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsdf_registration import rigid
 from gsdf_registration.result import WeakestDirection
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import Solution, nearest_neighbours
+from gsdf_registration.solver import Solution
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def motion_at(arms: Array) -> Array:
     return B
 
 
-def assess(solution: Solution, points: Array, neighbours: int) -> Confidence | None:
+def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> Confidence | None:
     """
     Return the confidence of a solution, or None if its points do not hold the pose.
 
@@ -90,7 +91,7 @@ def assess(solution: Solution, points: Array, neighbours: int) -> Confidence | N
     ----------
     solution : of a solver
     points : (n, 3) float, metres, tracker frame, its points
-    neighbours : of a point, over which residuals are averaged
+    neighbours : (n, k) int, the points nearest to each, over which residuals are averaged
 
     """
     used = solution.weights > 0.0
@@ -102,11 +103,12 @@ def assess(solution: Solution, points: Array, neighbours: int) -> Confidence | N
     if not np.all(scale > 0.0) or np.linalg.cond(H / np.outer(scale, scale)) > 1e10:
         return None
     variance = float((w * e**2).sum() / w.sum())
-    near = nearest_neighbours(points[used], neighbours)
-    mean = (w * e)[near].sum(axis=1) / np.maximum(w[near].sum(axis=1), 1e-9)
-    together = near.shape[1] * float((w * mean**2).sum() / w.sum()) / max(variance, 1e-300)
+    psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
+    around = solution.weights[neighbours[used]]
+    mean = (around * np.nan_to_num(solution.residuals)[neighbours[used]]).sum(axis=1) / np.maximum(around.sum(axis=1), 1e-9)
+    together = neighbours.shape[1] * float((w * mean**2).sum() / w.sum()) / max(variance, 1e-300)
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
-    C = max(1.0, together) * variance * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
+    C = max(1.0, together) * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
     centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
     return Confidence(C, centre, float(np.sqrt(variance)))
 

@@ -8,8 +8,10 @@ You need none of this to run the system; the defaults are meant to do.
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Iterator, Mapping
+from typing import Any
 
 from gsdf_registration.result import InputError
 
@@ -251,29 +253,31 @@ def _flattened(values: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[st
             yield f'{prefix}{key}', value
 
 
+def _fits(value: Any, kind: type) -> bool:
+    """Tell whether a value can stand for a bool, str, int or float; numbers must be finite."""
+    if kind in (bool, str):
+        return isinstance(value, kind)
+    return (isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+            and (kind is float or value == int(value)))
+
+
 def _checked(name: str, value: Any, setting: dataclasses.Field[Any]) -> Any:
     """Return the value in its declared type, or raise InputError."""
     about = setting.metadata
     default = default_of(setting)
     if isinstance(default, list):
         item = str if 'topics' in name or 'names' in name else float
-        ok = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
-        value = list(value) if ok else value
-        if not ok or any(isinstance(v, str) != (item is str) for v in value):
+        is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
+        if not is_list or not all(_fits(v, item) for v in value):
             raise InputError(f'{name} must be a list of {item.__name__}, not {value!r}')
         return [item(v) for v in value]
-    if isinstance(default, bool) or isinstance(default, str):
-        if not isinstance(value, type(default)):
-            raise InputError(f'{name} must be a {type(default).__name__}, not {value!r}')
-    elif isinstance(value, bool) or not isinstance(value, (int, float)) or (
-            isinstance(default, int) and value != int(value)):
-        raise InputError(f'{name} must be a number, not {value!r}')
-    else:
-        value = type(default)(value)
-        low, high = about['low'], about['high']
-        if not (low is None or value >= low) or not (high is None or value <= high):
-            raise InputError(f'{name} must lie in [{low:g}, {high:g}] {about["unit"]}'.rstrip()
-                             + f', not {value:g}')
+    kind = type(default)
+    if not _fits(value, kind):
+        wanted = {bool: 'a bool', str: 'a str', int: 'a whole number', float: 'a finite number'}[kind]
+        raise InputError(f'{name} must be {wanted}, not {value!r}')
+    low, high = about['low'], about['high']
+    if low is not None and not low <= value <= high:
+        raise InputError(f'{name} must lie in [{low:g}, {high:g}] {about["unit"]}'.rstrip() + f', not {value:g}')
     if about['choices'] and value not in about['choices']:
         raise InputError(f'{name} must be one of {", ".join(about["choices"])}, not "{value}"')
-    return value
+    return kind(value)

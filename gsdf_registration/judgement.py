@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gsdf_registration import rigid
 from gsdf_registration.basins import Choice
 from gsdf_registration.confidence import Confidence
-from gsdf_registration.config import Config, LimitsConfig
+from gsdf_registration.config import Config
 from gsdf_registration.field import Field
 from gsdf_registration.result import Reason, Refusal
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import Solution
+
+NEAR = 0.1  # m: the part of the bone that a wound's surgeon works on
 
 
 def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bool_], field: Field,
@@ -53,29 +55,45 @@ def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bo
     return known
 
 
-def judge(known: dict[str, Any], solution: Solution, points: Array, limits: LimitsConfig) -> Refusal | None:
+def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, points: Array, field: Field,
+          config: Config) -> Refusal | None:
     """Return why a solution must not be used, or None if it may; ``points`` (n, 3) are those on strokes."""
+    limits = config.limits
     inliers, used = known['inliers'], known['used']
-    extent = float(np.ptp(points[solution.weights > 0.5], axis=0).max()) if inliers else 0.0
-    if not solution.settled:
-        return Refusal(Reason.NOT_CONVERGED, f'no pose was settled on: {solution.termination}; '
-                       'touch more of the bone or start from landmarks')
+    on_bone = points[choice.solution.weights > 0.5]
     if inliers < max(limits.min_inliers * used, limits.min_points):
         return Refusal(Reason.TOO_FEW_INLIERS, f'only {inliers} of {used} points lie on the bone; '
                        'check that this is the bone and the probe is the one calibrated')
+    if confidence is None:
+        return Refusal(Reason.UNDER_CONSTRAINED, 'the points do not hold the pose; touch other sides of the bone')
+    extent = float(np.ptp(on_bone, axis=0).max())
     if extent < limits.min_extent:
         return Refusal(Reason.REGION_TOO_SMALL, f'the points on the bone span only {length(extent)}, {length(limits.min_extent)} are '
                        'needed; drag the probe over more of the bone')
-    if known['covariance'] is None:
-        return Refusal(Reason.UNDER_CONSTRAINED, 'the points do not hold the pose; touch other sides of the bone')
-    if known['sigma_m'] > limits.max_sigma:
-        return Refusal(Reason.MODEL_MISMATCH, f'the points scatter {length(known["sigma_m"])} about the bone, more than any tracker does; '
+    if confidence.sigma > limits.max_sigma:
+        return Refusal(Reason.MODEL_MISMATCH, f'the points scatter {length(confidence.sigma)} about the bone, more than any tracker does; '
                        'check that this is the bone')
-    ratio = known['runner_up_ratio']
+    error = error_that_matters(confidence, rigid.transform(choice.solution.T_bone_tracker, on_bone), field, config)
+    if error > limits.max_predicted_tre:
+        return Refusal(Reason.UNDER_CONSTRAINED, f'an error of {length(error)} is to be expected, {length(limits.max_predicted_tre)} is '
+                       f'allowed; {known["weakest_direction"].sentence}; touch the bone where that would show')
+    ratio = choice.runner_up_ratio
     if ratio is not None and ratio < limits.min_runner_up_ratio:
-        return Refusal(Reason.AMBIGUOUS, f'another pose fits nearly as well (its cost is only {ratio:.2f} times as high); '
+        return Refusal(Reason.AMBIGUOUS, f'another pose fits nearly as well (its cost is {ratio:.2f} times as high); '
                        'touch a part of the bone that looks different, or start from landmarks')
+    if not choice.solution.settled:
+        return Refusal(Reason.NOT_CONVERGED, f'no pose was settled on: {choice.solution.termination}; '
+                       'touch more of the bone or start from landmarks')
     return None
+
+
+def error_that_matters(confidence: Confidence, touched: Array, field: Field, config: Config) -> float:
+    """Return the predicted TRE (RMS, m): at the named targets, or without any, on the bone within 100 mm of what was ``touched``."""
+    targets = np.reshape(config.targets.positions, (-1, 3))
+    if not len(targets):
+        surface = field.surface_points.astype(np.float64)
+        targets = surface[cKDTree(touched).query(surface, distance_upper_bound=NEAR)[0] < NEAR]
+    return float(np.sqrt(np.mean(confidence.predicted_tre(targets) ** 2)))
 
 
 def summary(known: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gsdf_registration import rigid
-from gsdf_registration.result import InputError
+from gsdf_registration.result import InputError, as_numbers
 from gsdf_registration.rigid import Array
 
 MIN_SEPARATION = 0.005  # m: landmarks nearer than their usual touch error are one
@@ -34,8 +34,7 @@ def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, fl
         If there are fewer than three pairs, two of them coincide, or they lie on a line: a rotation about the line would be free.
 
     """
-    model = np.asarray(model, dtype=np.float64)
-    tracker = np.asarray(tracker, dtype=np.float64)
+    model, tracker = as_numbers(model, 'model landmarks'), as_numbers(tracker, 'touched landmarks')
     if model.shape != tracker.shape or model.ndim != 2 or model.shape[1] != 3:
         raise InputError(f'landmarks need one touched point for each model point; got arrays of shape {model.shape} and '
                          f'{tracker.shape}')

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import perf_counter
-from typing import Any, Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,10 +18,10 @@ from gsdf_registration.density import first_of_each, on_strokes
 from gsdf_registration.field import Field
 from gsdf_registration.judgement import describe, judge, length, summary
 from gsdf_registration.landmarks import pose_from_landmarks
-from gsdf_registration.result import InputError, Reason, Refusal, RegistrationResult
+from gsdf_registration.result import InputError, Reason, Refusal, RegistrationResult, as_numbers
 from gsdf_registration.rigid import Array
 from gsdf_registration.search import find_basins
-from gsdf_registration.solver import solve
+from gsdf_registration.solver import nearest_neighbours, solve
 
 
 def register(points: ArrayLike, field: Field, config: Config = Config(), *,
@@ -52,10 +53,12 @@ def register(points: ArrayLike, field: Field, config: Config = Config(), *,
 
     """
     started = perf_counter()
-    received = np.size(points, 0) if np.ndim(points) else 0
+    received = 0
     try:
         # Refuse what no solver could answer
-        points = check_points(points, field, config.limits)
+        points = as_numbers(points, 'points')
+        received = len(points) if points.ndim else 0
+        check_points(points, field, config.limits)
         guess = first_guess(landmarks, T_tracker_bone)
         # Points on strokes, each once; the rest is strewn interference or a reading repeated
         dense = on_strokes(points, config.search.radius) & first_of_each(points)
@@ -85,27 +88,24 @@ def _attempt(points: Array, dense: NDArray[np.bool_], guess: Array | None, field
     found = perf_counter()
     # The best of the local solutions, and the next-best elsewhere
     starts = basins if guess is None else [guess, *basins]
-    choice = choose([solve(used, field, T, config.solver, history) for T in starts], used, field, config.solver)
+    near = nearest_neighbours(used, config.solver.neighbours)
+    choice = choose([solve(used, field, T, config.solver, history, near) for T in starts], used, field, config.solver)
     # How good is it, and is that good enough?
-    confidence = assess(choice.solution, used, config.solver.neighbours)
+    confidence = assess(choice.solution, used, near)
     known = describe(choice, confidence, dense, field, config)
     known['timing_s'] = {'search': found - started, 'solve': perf_counter() - found}
-    return known, judge(known, choice.solution, used, config.limits)
+    return known, judge(known, choice, confidence, used, field, config)
 
 
-def check_points(points: ArrayLike, field: Field, limits: LimitsConfig) -> Array:
+def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     """
-    Return the points as (n, 3) float64, or raise a Refusal that says what is wrong with them.
+    Raise a Refusal that says what is wrong with the points (n, 3), m, if anything is.
 
     Their size is taken robustly, between the 5th and 95th percentile, for interference may lie anywhere.
     """
-    try:
-        points = np.ascontiguousarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f'points must be an (n, 3) array of numbers: {error}') from None
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'points must be an (n, 3) array, not of shape {points.shape}')
-    bad = int((~np.isfinite(points).all(axis=1)).sum())
+    bad = int((~(np.abs(points) < 1e6).all(axis=1)).sum())     # NaN, infinite, or a tracker's word for missing
     if bad:
         raise InputError(f'{bad} of {len(points)} points are not finite; drop them before registering')
     if len(points) < limits.min_points:
@@ -119,12 +119,12 @@ def check_points(points: ArrayLike, field: Field, limits: LimitsConfig) -> Array
     if extent < limits.min_extent:
         raise Refusal(Reason.REGION_TOO_SMALL, f'the points span only {length(extent)}, {length(limits.min_extent)} are '
                       'needed; drag the probe over more of the bone')
-    return points
 
 
 def first_guess(landmarks: tuple[ArrayLike, ArrayLike] | None, T_tracker_bone: ArrayLike | None) -> Array | None:
     """Return the T_bone_tracker to look around, None if there is none, or raise InputError if it is no pose."""
     if T_tracker_bone is not None:
+        T_tracker_bone = as_numbers(T_tracker_bone, 'the initial pose')
         if not rigid.is_rigid(T_tracker_bone):
             raise InputError('the initial pose is not a 4x4 rigid motion (rotation, translation in metres)')
         return rigid.inverse(T_tracker_bone)

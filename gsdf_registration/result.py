@@ -8,6 +8,7 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gsdf_registration.rigid import Array, inverse
 
@@ -51,6 +52,14 @@ class InputError(Refusal):
 
     def __init__(self, message: str, reason: Reason = Reason.BAD_INPUT) -> None:
         super().__init__(reason, message)
+
+
+def as_numbers(values: ArrayLike, what: str) -> Array:
+    """Return ``values`` as a float64 array, or raise an InputError that names ``what`` they are."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f'{what} must be an array of numbers: {error}') from None
 
 
 @dataclass(frozen=True)

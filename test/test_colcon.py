@@ -55,5 +55,5 @@ def test_the_installed_packages_import(workspace: Path, tmp_path: Path) -> None:
 
 
 def test_colcon_test_runs_tests(workspace: Path) -> None:
-    colcon(workspace, 'test', '--pytest-args', 'test/test_config.py')
+    colcon(workspace, 'test', '--pytest-args', 'test/test_rigid.py')
     assert ' 0 errors, 0 failures' in colcon(workspace, 'test-result', '--all')

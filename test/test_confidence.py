@@ -17,7 +17,7 @@ from gsdf_registration.confidence import Confidence, assess
 from gsdf_registration.config import SolverConfig
 from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import Solution, solve
+from gsdf_registration.solver import Solution, nearest_neighbours, solve
 
 TRIALS = 200
 SIGMA = 5e-4
@@ -30,7 +30,7 @@ def confidence_at(points: Array, field: Field, guess: Array,
     """Solve from a first guess (4, 4) T_bone_tracker; return the solution and what is claimed of it."""
     config = SolverConfig(method=method)
     solution = solve(points, field, guess, config)
-    confidence = assess(solution, points, config.neighbours)
+    confidence = assess(solution, points, nearest_neighbours(points, config.neighbours))
     assert confidence is not None
     return solution, confidence
 
@@ -153,4 +153,4 @@ def test_points_in_one_plane_claim_nothing() -> None:
     solution, _ = confidence_at(points, bone_field(), np.eye(4))
     flat = solution.jacobian.copy()
     flat[:, [0, 1, 5]] = 0.0        # what turns about x or y or goes along z changes no distance
-    assert assess(dataclasses.replace(solution, jacobian=flat), points, 16) is None
+    assert assess(dataclasses.replace(solution, jacobian=flat), points, nearest_neighbours(points, 16)) is None

@@ -233,5 +233,6 @@ def floor(bone: Field, points: Array, row: Row) -> str:
         seconds.append(perf_counter() - start)
     one, passes = float(np.median(seconds)), float(np.median(row.iterations)) + 1
     solve = float(np.median(row.seconds))
-    return (f'floor: {1e6 * one:.0f} us a pass when warm ({1e9 * one / n:.0f} ns a sample), {passes:.0f} passes '
-            f'{1e3 * passes * one:.2f} ms; the published method takes {solve / (passes * one):.1f} times that')
+    return (f'floor: {1e6 * one:.0f} us a pass when warm ({1e9 * one / n:.0f} ns a sample), '
+            f'{passes:.0f} passes {1e3 * passes * one:.2f} ms; '
+            f'the published method takes {solve / (passes * one):.1f} times that')

@@ -10,8 +10,8 @@ import numpy as np
 
 from gsdf_registration.field.triangles import distance2, write_sample
 
-_compiled = nb.njit(nogil=True, cache=True)
-_inline = nb.njit(nogil=True, cache=True, forceinline=True)
+_compiled = nb.njit(nogil=True, cache=True, error_model='numpy')
+_inline = nb.njit(nogil=True, cache=True, error_model='numpy', forceinline=True)
 
 
 @_compiled

@@ -22,8 +22,8 @@ from gsdf_registration.field.triangles import distance2, write_sample
 LANES = 16      # nodes of a group, at most
 
 _f = np.float32
-_compiled = nb.njit(nogil=True, cache=True)
-_vector = nb.njit(nogil=True, cache=True, fastmath=True)
+_compiled = nb.njit(nogil=True, cache=True, error_model='numpy')
+_vector = nb.njit(nogil=True, cache=True, error_model='numpy', fastmath=True)
 
 
 def _groups() -> np.ndarray:
@@ -60,7 +60,7 @@ def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest)
     corner = np.empty((room, 3), np.float32)
     bound = np.empty(room, np.float32)
     chosen = np.empty(room, np.int32)
-    lanes = np.zeros((4, LANES), np.float32)
+    lanes = np.zeros(4 * LANES, np.float32)
     best = np.zeros(LANES, np.int32)
     centre = np.empty(3)
     for b in range(len(cells)):
@@ -168,9 +168,9 @@ def _place(voxel, g, lanes):
     for i in range(GROUPS[g, 0], GROUPS[g, 3]):
         for j in range(GROUPS[g, 1], GROUPS[g, 4]):
             for k in range(GROUPS[g, 2], GROUPS[g, 5]):
-                lanes[0, lane] = (i - 0.5 * CELLS) * voxel
-                lanes[1, lane] = (j - 0.5 * CELLS) * voxel
-                lanes[2, lane] = (k - 0.5 * CELLS) * voxel
+                lanes[lane] = (i - 0.5 * CELLS) * voxel
+                lanes[LANES + lane] = (j - 0.5 * CELLS) * voxel
+                lanes[2 * LANES + lane] = (k - 0.5 * CELLS) * voxel
                 lane += 1
 
 
@@ -215,10 +215,10 @@ def _measure(axes, candidate, corner, chosen, m, lanes, best):
     In the axes of a triangle its corners are (0, 0), (b, 0) and (p, q), and the distance is that in the plane, to the
     nearest edge or zero inside, and the height above it.
 
-    ``lanes`` (4, LANES) float32: x, y, z and room for the distances; ``best`` (LANES,) is filled.
+    ``lanes`` (4 LANES,) float32: x, y, z and room for the distances; ``best`` (LANES,) is filled.
     """
     zero, one = _f(0.0), _f(1.0)
-    lanes[3] = np.inf
+    lanes[3 * LANES:] = np.inf
     for c in range(m):
         a = chosen[c]
         t = candidate[a]
@@ -228,7 +228,7 @@ def _measure(axes, candidate, corner, chosen, m, lanes, best):
         b, p, q, per_ac, per_bc = axes[t, 9], axes[t, 10], axes[t, 11], axes[t, 12], axes[t, 13]
         u0, v0, n0 = corner[a, 0], corner[a, 1], corner[a, 2]
         for i in range(LANES):
-            x, y, z = lanes[0, i], lanes[1, i], lanes[2, i]
+            x, y, z = lanes[i], lanes[LANES + i], lanes[2 * LANES + i]
             u = ux * x + uy * y + uz * z - u0
             v = vx * x + vy * y + vz * z - v0
             h = nx * x + ny * y + nz * z - n0
@@ -252,6 +252,6 @@ def _measure(axes, candidate, corner, chosen, m, lanes, best):
             d2 = e2 if e2 < d2 else d2
             d2 = zero if (v > zero) & (q * u > p * v) & (q * w < r * v) else d2
             d2 += h * h
-            nearer = d2 < lanes[3, i]
-            lanes[3, i] = d2 if nearer else lanes[3, i]
+            nearer = d2 < lanes[3 * LANES + i]
+            lanes[3 * LANES + i] = d2 if nearer else lanes[3 * LANES + i]
             best[i] = a if nearer else best[i]

@@ -10,6 +10,9 @@ import numpy as np
 
 from gsdf_registration.rigid import Array
 
+_compiled = nb.njit(nogil=True, cache=True, error_model='numpy')
+_inline = nb.njit(nogil=True, cache=True, error_model='numpy', forceinline=True)
+
 
 def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:
     """
@@ -21,62 +24,68 @@ def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     vertices : (n, 3) float64
-    faces : (m, 3) int, no face of zero area
+    faces : (m, 3) int32, no face of zero area
 
     Returns
     -------
     (m, 7, 3) float32, unit length; zero where the normals cancel
 
     """
-    table = np.zeros((len(faces), 7, 3), dtype=np.float32)
+    table = np.empty((len(faces), 7, 3), dtype=np.float32)
     _fill(vertices, faces, table)
     return table
 
 
-@nb.njit(nogil=True, cache=True)
+@_compiled
 def _fill(vertices, faces, table):
-    normal, angle = _normals_and_angles(vertices, faces)
-    around, start = _faces_round_vertices(faces, len(vertices))
-    total = np.zeros((7, 3))
+    normal = np.empty((len(faces), 3))
+    of_vertex = np.zeros((len(vertices), 3))
     for f in range(len(faces)):
-        total[0] = normal[f]
-        total[1:] = 0.0
+        _add_corners(vertices, faces, f, normal, of_vertex)
+    around, start = _faces_round_vertices(faces, len(vertices))
+    for f in range(len(faces)):
+        _write_unit(normal[f, 0], normal[f, 1], normal[f, 2], table, f, 0)
         for c in range(3):
             here, there = faces[f, c], faces[f, (c + 1) % 3]
+            x = y = z = 0.0
             for s in range(start[here], start[here + 1]):
                 g = around[s]
-                for e in range(3):
-                    weight = angle[g, e] if faces[g, e] == here else 1.0 if faces[g, e] == there else 0.0
-                    if weight > 0.0:
-                        row = 4 + c if faces[g, e] == here else 1 + c
-                        for a in range(3):
-                            total[row, a] += weight * normal[g, a]
-        for row in range(7):
-            length = math.sqrt(total[row, 0] ** 2 + total[row, 1] ** 2 + total[row, 2] ** 2)
-            if length > 1e-9:
-                for a in range(3):
-                    table[f, row, a] = total[row, a] / length
+                if faces[g, 0] == there or faces[g, 1] == there or faces[g, 2] == there:
+                    x += normal[g, 0]
+                    y += normal[g, 1]
+                    z += normal[g, 2]
+            _write_unit(x, y, z, table, f, 1 + c)
+            _write_unit(of_vertex[here, 0], of_vertex[here, 1], of_vertex[here, 2], table, f, 4 + c)
 
 
-@nb.njit(nogil=True, cache=True)
-def _normals_and_angles(vertices, faces):
-    """Return unit normals (m, 3) and the angles at the corners (m, 3)."""
-    normal = np.empty((len(faces), 3))
-    angle = np.empty((len(faces), 3))
-    edge = np.empty((3, 3))
-    for f in range(len(faces)):
-        for c in range(3):
-            for a in range(3):
-                edge[c, a] = vertices[faces[f, (c + 1) % 3], a] - vertices[faces[f, c], a]
-        n = np.cross(edge[0], edge[1])
-        area2 = math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-        for c in range(3):
-            normal[f, c] = n[c] / area2
-            angle[f, c] = math.atan2(area2, -np.dot(edge[c], edge[c - 1]))
-    return normal, angle
+@_inline
+def _add_corners(vertices, faces, f, normal, of_vertex):
+    """Set the unit normal of face ``f`` and add it to its vertices', weighted by the angles there."""
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    area2 = math.sqrt(nx * nx + ny * ny + nz * nz)
+    normal[f, 0], normal[f, 1], normal[f, 2] = nx / area2, ny / area2, nz / area2
+    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+    at_a, at_b = math.atan2(area2, uv), math.atan2(area2, uu - uv)
+    for i in range(3):
+        of_vertex[a, i] += at_a * normal[f, i]
+        of_vertex[b, i] += at_b * normal[f, i]
+        of_vertex[c, i] += (math.pi - at_a - at_b) * normal[f, i]
 
 
-@nb.njit(nogil=True, cache=True)
+@_inline
+def _write_unit(x, y, z, table, face, row):
+    """Write (x, y, z) at unit length."""
+    n = math.sqrt(x * x + y * y + z * z)
+    s = 1.0 / n if n > 1e-9 else 0.0
+    table[face, row, 0] = x * s
+    table[face, row, 1] = y * s
+    table[face, row, 2] = z * s
+
+
+@_compiled
 def _faces_round_vertices(faces, n):
     """Return ``around`` and ``start``: the faces round vertex v are ``around[start[v]:start[v + 1]]``."""
     start = np.zeros(n + 1, np.int64)

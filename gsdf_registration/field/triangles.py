@@ -19,10 +19,10 @@ from scipy.spatial import cKDTree
 from gsdf_registration.field.pseudonormals import pseudonormals
 from gsdf_registration.rigid import Array
 
-LEAF = 4    # triangles in a leaf of the tree, at most
+LEAF = 16    # triangles in a leaf of the tree, at most
 
-_compiled = nb.njit(nogil=True, cache=True)
-_inline = nb.njit(nogil=True, cache=True, forceinline=True)
+_compiled = nb.njit(nogil=True, cache=True, error_model='numpy')
+_inline = nb.njit(nogil=True, cache=True, error_model='numpy', forceinline=True)
 
 
 class Tree(NamedTuple):
@@ -60,13 +60,15 @@ def build_tree(vertices: Array, faces: np.ndarray) -> Tree:
 
     """
     # the order of a kd-tree: halves of it, halves of these and so on are neighbours in space
-    order = cKDTree(vertices[faces].mean(axis=1), leafsize=LEAF).indices
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    order = cKDTree(a + b + c, leafsize=LEAF).indices
     corners = vertices[faces[order]]
+    a, b, c = (corners[:, i] for i in range(3))
     leaves = 1 << max(0, math.ceil(math.log2(len(faces) / LEAF)))
     start = np.arange(leaves + 1) * len(faces) // leaves
     box = np.empty((2 * leaves, 6))
-    box[leaves:, :3] = np.minimum.reduceat(corners.min(axis=1), start[:-1])
-    box[leaves:, 3:] = np.maximum.reduceat(corners.max(axis=1), start[:-1])
+    box[leaves:, :3] = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), start[:-1])
+    box[leaves:, 3:] = np.maximum.reduceat(np.maximum(np.maximum(a, b), c), start[:-1])
     while leaves > 1:
         children = box[leaves:2 * leaves].reshape(-1, 2, 6)
         leaves //= 2

@@ -18,7 +18,6 @@ from gsdf_registration.solver import gauss_newton
 from gsdf_registration.solver.mixture import expectation_maximization
 from gsdf_registration.solver.paper import algorithm_1
 
-
 START = 0.0015      # m, scatter of the local means at first: a fair guess is so far off
 COOLING = 0.85      # by which it falls a round
 
@@ -52,7 +51,8 @@ class Solution:
     history: tuple[Iteration, ...] = ()
 
 
-def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig, history: bool = False) -> Solution:
+def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig, history: bool = False,
+          neighbours: NDArray[np.int64] | None = None) -> Solution:
     """
     Return the local solution from a first guess.
 
@@ -63,11 +63,13 @@ def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConf
     T_bone_tracker : (4, 4) float, first guess
     config : method and its settings
     history : whether to return every step
+    neighbours : (n, k) int of the points, if known already
 
     """
     if config.method == 'paper':
         return _paper(points, field, T_bone_tracker, config, history)
-    neighbours = nearest_neighbours(points, config.neighbours)
+    if neighbours is None:
+        neighbours = nearest_neighbours(points, config.neighbours)
     plain = _mixture(points, neighbours, field, T_bone_tracker, config, history)
     # Soft tissue may have drawn that solution outward: start again from the lower envelope of the points
     lifted = _mixture(points, neighbours, field, plain.T_bone_tracker, config, history, lift=0.05)
@@ -117,4 +119,4 @@ def _solution(points: Array, R: Array, t: Array, weight: Array, e: Array, J: Arr
               ended: int, steps: Array, history: bool) -> Solution:
     T = rigid.orthonormalized(rigid.from_rt(R, t - R @ points.mean(axis=0)))
     return Solution(T, weight, e, J, curvature, score, ended == gauss_newton.SETTLED, gauss_newton.TERMINATION[ended], len(steps),
-                    tuple(Iteration(*row[:3], int(row[3])) for row in steps.tolist()) if history else ())
+                    tuple(Iteration(cost, turn, shift, int(used)) for cost, turn, shift, used in steps.tolist()) if history else ())

@@ -14,8 +14,18 @@ import math
 
 import numpy as np
 
-from gsdf_registration.solver.gauss_newton import (EXHAUSTED, SETTLED, SINGULAR, kernel, linearize,
-                                                   normal_equations, solve_cholesky, step_of, update)
+from gsdf_registration.solver.gauss_newton import (
+    EXHAUSTED,
+    SETTLED,
+    SINGULAR,
+    damp,
+    kernel,
+    linearize,
+    normal_equations,
+    solve_cholesky,
+    step_of,
+    update,
+)
 
 OUTSIDE = 0.9       # share of the interference that lies outside the bone
 LONE = 5.0          # a point this much less likely than its neighbours (3.2 sigma) is interference of its own
@@ -65,6 +75,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
                 if e[k] > 0.0:
                     weight[k] *= lift
         history[iteration, 0] = normal_equations(J, e, weight, A, b)
+        damp(A, history[iteration, 0], size * size)
         history[iteration, 3] = (weight > 0.5).sum()
         if not solve_cholesky(A, b, dx):
             return SINGULAR, iteration, scatter, -np.inf

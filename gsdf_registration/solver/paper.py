@@ -10,8 +10,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsdf_registration.solver.gauss_newton import (EXHAUSTED, SETTLED, SINGULAR, kernel, linearize,
-                                                   normal_equations, solve_cholesky, step_of, update)
+from gsdf_registration.solver.gauss_newton import (
+    EXHAUSTED,
+    SETTLED,
+    SINGULAR,
+    damp,
+    kernel,
+    linearize,
+    normal_equations,
+    solve_cholesky,
+    step_of,
+    update,
+)
 
 
 @kernel
@@ -24,6 +34,7 @@ def algorithm_1(field, points, R, t, keep, weight, e, J, history,
     has a row for each iteration allowed.
     """
     A = np.zeros((6, 6))
+    size2 = (points * points).sum() / len(points)
     b = np.zeros(6)
     dx = np.zeros(6)
     held = 0
@@ -38,6 +49,7 @@ def algorithm_1(field, points, R, t, keep, weight, e, J, history,
                 return SETTLED, iteration
             held = 0
         history[iteration, 0] = normal_equations(J, e, weight, A, b)
+        damp(A, history[iteration, 0], size2)
         history[iteration, 3] = inliers
         if not solve_cholesky(A, b, dx):
             return SINGULAR, iteration
