@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
+from numpy.typing import NDArray
 
 from gsdf_registration import rigid
 from gsdf_registration.config import SearchConfig
@@ -40,8 +41,8 @@ class Stage:
 
 
 FIRST = Stage(40, (1.0, 1.0, 0.75, 0.5), True, 400)
-STAGES = (Stage(150, (0.5, 0.4, 0.3, 0.25, 0.2, 0.2), True, 60),
-          Stage(300, (0.2, 0.15, 0.15, 0.1, 0.1, 0.075, 0.075, 0.075), False, 20))
+STAGES = (Stage(150, (0.3, 0.25, 0.2, 0.15, 0.15, 0.15), False, 60),
+          Stage(300, (0.15, 0.15, 0.1, 0.1, 0.075, 0.075), False, 20))
 
 
 def find_basins(points: Array, field: Field, config: SearchConfig, T_bone_tracker: Array | None = None,
@@ -154,21 +155,34 @@ def super_fibonacci(count: int) -> Array:
     return np.array([rigid.rotation_from_quaternion(x) for x in quaternions])
 
 
-def distinct(R: Array, t: Array, points: Array, separation: float, count: int) -> list[int]:
+def distinct(R: Array, t: Array, points: Array, separation: float, count: int) -> NDArray[np.int64]:
     """Return the first ``count`` poses that move the points (n, 3) apart by ``separation`` (RMS) or more, in order."""
     # the RMS distance between two poses over the points is a norm of [R, t]: embed them, then compare
     _, spread, axes = np.linalg.svd(points, full_matrices=False)
     embedded = np.concatenate([(R @ (axes.T * spread / math.sqrt(len(points)))).reshape(len(R), -1), t], axis=1)
-    chosen: list[int] = []
-    taken = np.zeros(len(R), dtype=bool)
-    for i in range(len(R)):
-        if taken[i]:
-            continue
-        chosen.append(i)
-        if len(chosen) == count:
-            break
-        taken |= ((embedded - embedded[i]) ** 2).sum(axis=1) < separation**2
-    return chosen
+    return _distinct(embedded, separation**2, count)
+
+
+@kernel
+def _distinct(x, separation2, count):
+    """Return the indices of the first ``count`` rows of ``x`` no two of which are nearer than the square root of separation2."""
+    chosen = np.zeros(min(count, len(x)), np.int64)
+    m = 0
+    for i in range(len(x)):
+        new = True
+        for j in range(m):
+            squared = 0.0
+            for a in range(x.shape[1]):
+                squared += (x[i, a] - x[chosen[j], a]) ** 2
+            if squared < separation2:
+                new = False
+                break
+        if new:
+            chosen[m] = i
+            m += 1
+            if m == len(chosen):
+                break
+    return chosen[:m]
 
 
 @kernel
