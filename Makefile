@@ -12,7 +12,7 @@ export AMENT_PREFIX_PATH := $(VENV)
 .PHONY: demo test lint bench clean
 .DELETE_ON_ERROR:
 
-demo: $(VENV)/.installed-ros $(VENV)/.shared
+demo: $(VENV)/.installed-ros,report $(VENV)/.shared
 	$(BIN)/gsdf demo
 
 test: $(VENV)/.installed-ros,test $(VENV)/.shared

@@ -43,6 +43,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         *shared('config', 'launch', 'bags'),
     ],
+    package_data={f'{NAME}.report': ['page.html']},
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=[
@@ -65,7 +66,7 @@ setup(
         'bench': ['libigl>=2.5', 'open3d>=0.18', 'small_gicp>=1.0'],
         'test': [
             'pytest>=8', 'pytest-timeout', 'hypothesis', 'ruff==0.17.6', 'mypy==2.4.1', 'types-PyYAML',
-            'scikit-image',
+            'scikit-image', 'plotly>=5',
             'colcon-common-extensions==0.3.0',
             # What builds tf2_msgs, see test/ros/tf2_msgs/build.py.
             'cmake', 'ninja', 'catkin_pkg==1.1.1',

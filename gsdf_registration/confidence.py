@@ -28,11 +28,13 @@ class Confidence:
     motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone axes
     centre : (3,) float, m, bone frame: the centroid of the points
     sigma : float, m, noise of a point along the surface normal
+    pattern : float, how much more residuals of neighbours vary together than white noise would; 1 for the right bone and tracker
     """
 
     motion_covariance: Array
     centre: Array
     sigma: float
+    pattern: float
 
     def predicted_tre(self, targets: Array) -> Array:
         """Return the predicted TRE (RMS, m) at each of ``targets`` (n, 3), m, bone frame; shape (n,)."""
@@ -110,7 +112,7 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
     C = max(1.0, together) * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
     centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
-    return Confidence(C, centre, float(np.sqrt(variance)))
+    return Confidence(C, centre, float(np.sqrt(variance)), together)
 
 
 def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str, Array]) -> WeakestDirection:

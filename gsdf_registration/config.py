@@ -123,7 +123,11 @@ class LimitsConfig:
 
     min_points: int = _setting(30, 'fewer points are no registration', '', 6, 100_000)
     min_extent: float = _setting(0.02, 'the points must span this much', 'm', 0.0, 1.0)
-    min_inliers: float = _setting(0.05, 'share of the points that must lie on the bone', '', 0.0, 1.0)
+    min_inliers: float = _setting(0.5, 'share of the points on strokes that must lie on the bone', '', 0.0, 1.0)
+    max_pattern: float = _setting(2.0, 'residuals that vary together along the strokes this many times more than noise '
+                                  'does are not of this bone', '', 1.0, 1000.0)
+    clear_inliers: float = _setting(0.82, 'with this share of the points on the bone a pattern is put down to the model',
+                                    '', 0.0, 1.0)
     max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker', 'm',
                                 1e-5, 0.1)
     min_runner_up_ratio: float = _setting(1.1, 'cost of the next-best pose over that of the best; nearer is ambiguous',

@@ -73,6 +73,9 @@ def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, 
     if confidence.sigma > limits.max_sigma:
         return Refusal(Reason.MODEL_MISMATCH, f'the points scatter {length(confidence.sigma)} about the bone, more than any tracker does; '
                        'check that this is the bone')
+    if confidence.pattern > limits.max_pattern and inliers < limits.clear_inliers * used:
+        return Refusal(Reason.MODEL_MISMATCH, f'{used - inliers} of {used} points lie off the bone, and the others fit it no better than '
+                       'another bone would; check that the model is of this patient, this side and this unit')
     error = error_that_matters(confidence, rigid.transform(choice.solution.T_bone_tracker, on_bone), field, config)
     if error > limits.max_predicted_tre:
         return Refusal(Reason.UNDER_CONSTRAINED, f'an error of {length(error)} is to be expected, {length(limits.max_predicted_tre)} is '

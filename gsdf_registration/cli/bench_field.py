@@ -28,8 +28,8 @@ PATIENCE = 60.0         # s for a peer; what it has not done by then is extrapol
 BATCH = 20_000          # nodes asked of a peer at a time, drawn from everywhere
 TESTED = 50_000         # points at which the error is taken
 BAND = 3.0              # voxels
-PEAK = ('import sys; from gsdf_registration.cli.main import main; status = main(sys.argv[1:]); '
-        'print([s.split()[1] for s in open("/proc/self/status") if s.startswith("VmHWM")][0]); sys.exit(status)')
+PEAK = ('import sys; from gsdf_registration.cli.main import main; status = main(sys.argv[1:]); print('
+        '*(s.split()[1] for s in open("/proc/self/status") if s.startswith("VmHWM"))); sys.exit(status)')
 
 # points (n, 3) -> signed distances (n,)
 Peer = Callable[['Array'], 'Array']
@@ -39,26 +39,30 @@ def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'field', help='time the build of fields beside libigl and Open3D',
-        description='Time repairing a bone and building its field, warm, beside the signed distances of libigl and '
-        'Open3D at the same nodes; take the error against exact distances, memory, disk and loading.',
+        description='Time repairing a bone and building its field, warm, beside the signed distances of '
+        'libigl and Open3D at the same nodes; take the error against exact distances, memory, disk, loading.',
         **example('gsdf bench field --bones ~/bones'))
     parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
-                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, else those '
-                        'that come along)')
-    parser.add_argument('--voxel', type=float, default=1.0, metavar='MM', help='mm (default: 1)')
+                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, else '
+                        'those that come along)')
+    parser.add_argument('--voxel', type=float, default=1.0, metavar='MM',
+                        help='spacing of the samples near the surface, mm (default: 1)')
     parser.add_argument('--faces', type=int, default=0, metavar='N',
-                        help='first refine and decimate every mesh to about N faces, by Open3D (default: as it is)')
+                        help='bring every mesh to about N faces first, by Open3D (default: as it is)')
     parser.add_argument('--no-peers', action='store_true', help='leave out libigl and Open3D')
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print a table."""
-    print(f'voxel {args.voxel:g} mm; bone + field: median of {REPEATS}, warm, on {os.cpu_count()} cores; peers over the '
-          f'same nodes; error at {TESTED} random points within {BAND:g} voxels\n'
-          f'half: cost at half the voxel over that at the whole; peak: memory of `gsdf build`\n')
-    print(f'{"bone":<18}{"faces":>8}{"bone ms":>9}{"field ms":>9}{"nodes k":>9}{"libigl":>10}{"Open3D":>10}'
-          f'{"rms um":>8}{"max um":>8}{"MB":>7}{"disk MB":>8}{"load ms":>8}{"peak MB":>8}{"half: s":>8}{"MB":>6}')
+    print(f'voxel {args.voxel:g} mm, {os.cpu_count()} cores, median of {REPEATS} warm runs\n'
+          f'bone: repair; field: build; libigl, Open3D: signed distances at the same nodes, and their time '
+          'over that of field\n(~: extrapolated from a random part)\n'
+          f'rms, max: error of the distance at {TESTED} random points within {BAND:g} voxels of the surface\n'
+          'peak: memory of `gsdf build`; half: cost at half the voxel over that at the whole\n')
+    print(f'{"bone":<18}{"faces":>8}{"bone ms":>9}{"field ms":>9}{"nodes k":>9}{"libigl":>12}{"Open3D":>12}'
+          f'{"rms um":>8}{"max um":>8}{"MB":>7}{"disk MB":>9}{"load ms":>9}{"peak MB":>9}{"half: s":>9}'
+          f'{"MB":>6}')
     for file in bones(args.bones):
         measure(file, 1e-3 * args.voxel, args.faces, not args.no_peers)
     return 0
@@ -83,17 +87,18 @@ def measure(file: Path, voxel: float, faces: int, peers: bool) -> None:
     count = 0 if bone.faces is None else len(bone.faces)
     show(f'{file.stem:<18}{count:>8}{1e3 * bone_s:>9.0f}{1e3 * field_s:>9.0f}{1e-3 * len(nodes):>9.0f}')
     for prepare in (igl_distances, open3d_distances):
-        show(f'{beside(prepare, bone, nodes, bone_s + field_s) if peers else "-":>10}')
+        show(f'{beside(prepare, bone, nodes, field_s) if peers else "-":>12}')
     error = errors(bone, field)
-    show(f'{1e6 * np.sqrt(np.mean(error**2)):>8.1f}{1e6 * np.abs(error).max():>8.0f}{1e-6 * field.nbytes:>7.1f}')
+    show(f'{1e6 * np.sqrt(np.mean(error**2)):>8.1f}{1e6 * np.abs(error).max():>8.0f}'
+         f'{1e-6 * field.nbytes:>7.1f}')
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'bone.gsdf'
         save_field(field, path)
-        show(f'{1e-6 * path.stat().st_size:>8.1f}{1e3 * median_time(lambda: load_field(path)):>8.0f}')
-        show(f'{peak_megabytes(file, voxel, folder):>8.0f}')
+        show(f'{1e-6 * path.stat().st_size:>9.1f}{1e3 * median_time(lambda: load_field(path)):>9.0f}')
+        show(f'{peak_megabytes(file, voxel, folder):>9.0f}')
     half = build_field(bone, 0.5 * voxel)
     half_s = median_time(lambda: build_field(bone, 0.5 * voxel), 3)
-    show(f'{half_s / field_s:>8.1f}{half.nbytes / field.nbytes:>6.1f}\n')
+    show(f'{half_s / field_s:>9.1f}{half.nbytes / field.nbytes:>6.1f}\n')
 
 
 def show(text: str) -> None:
@@ -118,9 +123,9 @@ def node_positions(field: Field) -> Array:
 
     from gsdf_registration.field.sample import CELLS, NODES
     a = field.arrays
-    steps = np.stack(np.indices((NODES,) * 3), axis=-1).reshape(-1, 3)
+    steps = np.argwhere(np.ones((NODES, NODES, NODES)))
     fine = (np.argwhere(a.block_of >= 0)[:, None] * CELLS + steps).reshape(-1, 3)
-    coarse = np.stack(np.indices([n + 1 for n in a.block_of.shape]), axis=-1).reshape(-1, 3) * CELLS
+    coarse = np.argwhere(np.ones([n + 1 for n in a.block_of.shape])) * CELLS
     nodes = np.unique(np.concatenate([fine, coarse]), axis=0)
     return np.random.default_rng(0).permutation(nodes) * a.voxel + a.origin
 
@@ -128,10 +133,11 @@ def node_positions(field: Field) -> Array:
 def beside(prepare: Callable[[Bone], Peer], bone: Bone, nodes: Array, ours: float) -> str:
     """Return how long a peer takes for all nodes, s, and how many times as long as we do."""
     try:
-        distances = prepare(bone)
+        prepare(bone)(nodes[:1])    # imports, and wakes up its threads
     except (ImportError, OSError):
         return 'missing'
     started, done = perf_counter(), 0
+    distances = prepare(bone)
     while done < len(nodes) and perf_counter() - started < PATIENCE:
         distances(nodes[done:done + BATCH])
         done += BATCH
@@ -160,7 +166,7 @@ def open3d_distances(bone: Bone) -> Peer:
 
 
 def errors(bone: Bone, field: Field) -> Array:
-    """Return errors of the distance, m, at random points in the band, against exact distances to the triangles."""
+    """Return errors of the distance, m, at random points in the band, against exact ones by libigl."""
     import igl
     import numpy as np
     a = field.arrays
@@ -178,8 +184,9 @@ def errors(bone: Bone, field: Field) -> Array:
 
 def peak_megabytes(file: Path, voxel: float, cache: str) -> float:
     """Return the most memory a process of its own takes to read, repair, build and keep a bone, MB."""
-    done = subprocess.run([sys.executable, '-c', PEAK, 'build', str(file), '--voxel', str(1e3 * voxel)], check=True,
-                          env={**os.environ, 'GSDF_CACHE_DIR': cache}, capture_output=True, text=True)
+    command = [sys.executable, '-c', PEAK, 'build', str(file), '--voxel', str(1e3 * voxel)]
+    done = subprocess.run(command, env={**os.environ, 'GSDF_CACHE_DIR': cache}, check=True,
+                          capture_output=True, text=True)
     return float(done.stdout.split()[-1]) * 1024e-6
 
 
@@ -187,7 +194,8 @@ def resampled(vertices: Array, faces: np.ndarray, count: int) -> tuple[Array, np
     """Return a mesh of about ``count`` faces and nearly the same surface."""
     import numpy as np
     import open3d as o3d
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices),
+                                     o3d.utility.Vector3iVector(faces))
     while len(mesh.triangles) < count:
         mesh = mesh.subdivide_midpoint(1)
     mesh = mesh.simplify_quadric_decimation(count)

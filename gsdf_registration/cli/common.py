@@ -7,6 +7,7 @@ import argparse
 import hashlib
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from gsdf_registration.result import InputError, Reason, Refusal
 
 if TYPE_CHECKING:
     from gsdf_registration.field import Field
+    from gsdf_registration.result import RegistrationResult
     from gsdf_registration.rigid import Array
     from gsdf_registration.session import LandmarkPairs
 
@@ -34,6 +36,8 @@ def add_registration_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--initial', metavar='JSON', help='first guess: {"T_tracker_bone": 4x4, metres}')
     parser.add_argument('--config', metavar='YAML', help='settings, as in config/registration.yaml')
     parser.add_argument('--json', metavar='OUT', help='write the outcome as JSON; - for standard output')
+    parser.add_argument('--report', metavar='OUT.html', help='write a page to look at: what was '
+                        'found, how good it is, the points on the bone (needs the extra "report")')
 
 
 def read_config(path: str | None) -> Config:
@@ -126,6 +130,38 @@ def sha256_of(path: str) -> str:
     for file in sorted(p for p in root.iterdir() if p.is_file()) if root.is_dir() else [root]:
         digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def require_report(path: str | None) -> None:
+    """Say what is missing for ``--report``, if it is wanted, before any work is done."""
+    if path is not None:
+        from gsdf_registration.report import require_plotly
+        require_plotly()
+
+
+def write_report(path: str | None, result: RegistrationResult, field: Field | None, points: Array,
+                 document: dict[str, Any], about: Mapping[str, str]) -> None:
+    """
+    Write a page where ``--report`` says, if it says so.
+
+    ``points`` (n, 3), m, are those the result speaks of, ``document`` is its JSON, and ``about``
+    what to tell of the inputs, the model and the points first.
+    """
+    if path is None:
+        return
+    from gsdf_registration.report import write_report as write
+    model, touched = (Path(name).name for name in list(about.values())[:2])
+    hashes = {key.replace('_sha256', ' SHA-256'): sha256
+              for key, sha256 in document['inputs'].items() if sha256}
+    times = {'time to load': f'{document["timing_s"]["load"]:.2f} s'}
+    write(path, result, field, points, title=f'{model} from {touched}',
+          about={**about, **hashes, **times})
+
+
+def counts_by_cause(rejected: Mapping[str, int]) -> str:
+    """Return counts in words, those of zero left out."""
+    return ', '.join(f'{count} {cause.replace("_", " ")}'
+                     for cause, count in rejected.items() if count)
 
 
 def write_json(path: str | None, document: Any) -> None:

@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
 
     from gsdf_registration.node.operator import Operator
+    from gsdf_registration.rigid import Array
     from msg_adapters.truth import Truth
 
 SHARE = 'package://gsdf_registration/bags'
 RATE = 6.0      # times as fast as recorded
 STARTUP = 120.0     # s; the first start ever compiles the kernels and builds the field
 PATIENCE = 15.0     # s
+REPORT = 'out/demo_report.html'
 
 
 def add_parser(subparsers: Any) -> None:
@@ -37,11 +39,14 @@ def add_parser(subparsers: Any) -> None:
         description='Start the registration node on a ROS domain of its own, play a recorded run of an '
         'optical tracker into it, touch its landmarks, register, and compare the pose with the truth.',
         **common.example('gsdf demo'))
+    parser.add_argument('--report', metavar='OUT.html', help='where the page to read and look at '
+                        f'goes (default: {REPORT}, if the extra "report" is installed)')
     parser.set_defaults(run=run)
 
 
-def run(_: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Show it; 0 if the bone was found."""
+    report = where_to_report(args.report)
     try:
         from gsdf_registration.node.domain import own_domain
         from gsdf_registration.node.operator import Operator
@@ -67,8 +72,20 @@ def run(_: argparse.Namespace) -> int:
             answer = operator.ask('register')
             say(f'register: {answer.message}')
             if answer.success:
-                show(truth_file.parent / truth.model, truth, say)
+                show(truth_file, truth, report, say)
             return 0 if answer.success else 1
+
+
+def where_to_report(wanted: str | None) -> str | None:
+    """Return where the page goes; without plotly it is missed only by who asked for it."""
+    try:
+        common.require_report(wanted or REPORT)
+    except InputError as missing:
+        if wanted:
+            raise
+        print(f'no page will be written: {missing.message}')
+        return None
+    return wanted or REPORT
 
 
 class Narrator:
@@ -156,26 +173,60 @@ def drag(operator: Operator, bag: Path, say: Narrator) -> None:
     say(operator.collect(False).message)
 
 
-def show(model: Path, truth: Truth, say: Narrator) -> None:
-    """Receive the pose as a late joiner does, and say how good it is and what the node saw."""
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from geometry_msgs.msg import PoseStamped
-
+def show(truth_file: Path, truth: Truth, report: str | None, say: Narrator) -> None:
+    """Receive what a late joiner does, say how good it is, and write the page."""
     from gsdf_registration.cli.summary import true_error
     from gsdf_registration.model import load_model
-    from gsdf_registration.node.operator import Operator
-    from msg_adapters.ros import pose_from
 
-    with Operator() as late_joiner:
-        _, T, frame_id = pose_from(late_joiner.hear(PoseStamped, '~/bone_pose'))
-        status = late_joiner.hear(DiagnosticStatus, '~/status')
+    result, points, frame_id, values = heard()
+    field = load_model(str(truth_file.parent / truth.model), truth.model_unit)
+    assert result.T_tracker_bone is not None
+    error = true_error(result, field, truth.T_tracker_bone)
     say('a client that joined after all this has received the pose:')
-    for row in T[:3]:
+    for row in result.T_tracker_bone[:3]:
         print('   ' + ''.join(f'{value:10.5f}' for value in row))
     print(f'  T_{frame_id}_bone, metres')
-    result = RegistrationResult(Reason.CONVERGED, status.message, T)
-    print('  ' + true_error(result, load_model(str(model), truth.model_unit), truth.T_tracker_bone))
-    print(f'  the node saw   {what_was_seen(told(status))}')
+    print(f'  true error     {error}')
+    print(f'  the node saw   {what_was_seen(values)}', flush=True)
+    if report is None:
+        return
+    from gsdf_registration.report import write_report
+    Path(report).parent.mkdir(parents=True, exist_ok=True)
+    title = f'{truth.model} from {truth_file.stem}, over ROS 2'
+    write_report(report, result, field, points, title=title, about={
+        'model': truth.model, 'model SHA-256': field.bone_sha256, 'recording': truth_file.stem,
+        'points SHA-256': common.sha256_of(str(truth_file.with_suffix(''))),
+        'frame of the points': frame_id, 'true error': error,
+        'the node saw': what_was_seen(values), 'weakest direction': values['weakest_direction']})
+    say(f'report: {report}')
+
+
+def heard() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
+    """Return what the node published: result, points (n, 3) m, their frame, its status by name."""
+    import numpy as np
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+    from sensor_msgs.msg import PointCloud2
+
+    from gsdf_registration.node.operator import Operator
+    from gsdf_registration.rigid import transform
+    from msg_adapters.ros import cloud_to_arrays, pose_from
+
+    with Operator() as late_joiner:
+        pose = late_joiner.hear(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
+        cloud = cloud_to_arrays(late_joiner.hear(PointCloud2, '~/points'))
+        status = late_joiner.hear(DiagnosticStatus, '~/status')
+    _, T, frame_id = pose_from(PoseStamped(header=pose.header, pose=pose.pose.pose))
+    values = told(status)
+    on_bone = np.stack([cloud[name] for name in 'xyz'], axis=1).astype(np.float64)
+    result = RegistrationResult(
+        Reason.CONVERGED, status.message, T, np.reshape(pose.pose.covariance, (6, 6)),
+        received=int(values['received']), used=int(values['used']), inliers=int(values['inliers']),
+        predicted_tre_m={key.removeprefix('predicted_tre_m.'): float(value)
+                         for key, value in values.items() if key.startswith('predicted_tre_m.')},
+        residuals_m=cloud['residual'].astype(np.float64),
+        weights=cloud['weight'].astype(np.float64))
+    return result, transform(T, on_bone), frame_id, values
 
 
 def what_was_seen(values: dict[str, str]) -> str:

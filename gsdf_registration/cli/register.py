@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from gsdf_registration.cli.summary import summary
     from msg_adapters.points import read_points
 
+    common.require_report(args.report)
     started = time.perf_counter()
     config = common.effective_config(args)
     T_tracker_bone = common.read_initial(args.initial)
@@ -49,27 +50,33 @@ def run(args: argparse.Namespace) -> int:
     recording = read_points(args.points, args.unit)
     field = common.field_or_refusal(config)
     loaded = time.perf_counter()
+    points = recording.positions
     rejected: dict[str, int] = {}
     if isinstance(field, Refusal):
-        result, sha256 = RegistrationResult.refused(field.reason, field.message), None
+        bone, result = None, RegistrationResult.refused(field.reason, field.message)
     else:
-        result, rejected = registered(recording, field, config, landmarks, T_tracker_bone)
-        sha256 = field.bone_sha256
-    common.write_json(args.json, result_to_json(
-        result, config, frame_id=config.probe.frame_id, model_sha256=sha256,
+        bone = field
+        result, points, rejected = registered(recording, bone, config, landmarks, T_tracker_bone)
+    document = result_to_json(
+        result, config, frame_id=config.probe.frame_id,
+        model_sha256=bone.bone_sha256 if bone else None,
         points_sha256=common.sha256_of(args.points), load_s=loaded - started,
-        total_s=time.perf_counter() - started))
+        total_s=time.perf_counter() - started)
+    common.write_json(args.json, document)
+    common.write_report(args.report, result, bone, points, document, {
+        'model': args.model, 'points': args.points,
+        'not believed': common.counts_by_cause(rejected) or 'none'})
     print(summary(result, config.probe.frame_id, rejected),
           file=sys.stderr if args.json == '-' else sys.stdout)
     return 0 if result.success else 1
 
 
 def registered(recording: Recording, field: Field, config: Config, landmarks: LandmarkPairs | None,
-               T_tracker_bone: Array | None) -> tuple[RegistrationResult, dict[str, int]]:
+               T_tracker_bone: Array | None) -> tuple[RegistrationResult, Array, dict[str, int]]:
     """
     Register the points of a file: with stamps as the node would have done, without them as they are.
 
-    Also return how many points were not believed, by cause.
+    Also return the points the result speaks of, and how many were not believed, by cause.
     """
     import numpy as np
 
@@ -79,10 +86,10 @@ def registered(recording: Recording, field: Field, config: Config, landmarks: La
 
     if recording.stamps is None:
         finite = np.isfinite(recording.positions).all(axis=1)
-        result = register(recording.positions[finite], field, config, landmarks=landmarks,
-                          T_tracker_bone=T_tracker_bone)
-        return (dataclasses.replace(result, received=len(recording)),
+        points = recording.positions[finite]
+        result = register(points, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone)
+        return (dataclasses.replace(result, received=len(recording)), points,
                 {str(Rejection.NOT_FINITE): int((~finite).sum())})
     recording.frame_ids = [config.probe.frame_id] * len(recording)     # a file of points names no frame
     result, session = replay(recording, field, config, landmarks, T_tracker_bone)
-    return result, session.status().rejected
+    return result, session.points().positions, session.status().rejected

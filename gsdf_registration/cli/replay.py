@@ -61,6 +61,7 @@ class Job:
     T_tracker_bone: Array | None
     field: Field | Refusal      # the bone, or why its size is not a bone's
     load_s: float               # time it took to load
+    report: str | None          # where a page goes, if one is wanted
 
 
 @dataclass(frozen=True)
@@ -74,13 +75,17 @@ class Outcome:
 
 def run(args: argparse.Namespace) -> int:
     """Replay every bag; the status of the worst one."""
+    several = len(args.bags) > 1
+    if several and args.report:
+        raise InputError('--report is the page of one recording: give one BAG, or leave it out')
+    common.require_report(args.report)
     config = common.effective_config(args)
     landmarks = common.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
     T_tracker_bone = common.read_initial(args.initial)
     started = time.perf_counter()
     field = common.field_or_refusal(config)
-    job = Job(config, args.topic, landmarks, T_tracker_bone, field, time.perf_counter() - started)
-    several = len(args.bags) > 1
+    job = Job(config, args.topic, landmarks, T_tracker_bone, field, time.perf_counter() - started,
+              args.report)
     outcomes = []
     for bag, outcome in zip(args.bags, _outcomes(args.bags, job, args.jobs)):
         failed = outcome.status == 2
@@ -124,16 +129,26 @@ def replay_bag(bag: str, job: Job) -> Outcome:
         refused = RegistrationResult.refused(error.reason, error.message)
         return Outcome(2, result_to_json(refused, job.config), error.message)
     loaded = time.perf_counter()
-    frame_id, sha256, rejected, against_truth = '', None, {}, ''
+    frame_id, points, rejected, against_truth = '', recording.positions, {}, ''
     if isinstance(job.field, Refusal):
-        result = RegistrationResult.refused(job.field.reason, job.field.message)
+        bone, result = None, RegistrationResult.refused(job.field.reason, job.field.message)
     else:
-        result, session = replay(recording, job.field, job.config, job.landmarks, job.T_tracker_bone)
-        status = session.status()
-        frame_id, sha256, rejected = status.frame_id or '', job.field.bone_sha256, status.rejected
+        bone = job.field
+        result, session = replay(recording, bone, job.config, job.landmarks, job.T_tracker_bone)
+        status, points = session.status(), session.points().positions
+        frame_id, rejected = status.frame_id or '', status.rejected
         if truth is not None:
-            against_truth = '\n  ' + true_error(result, job.field, truth.T_tracker_bone)
+            against_truth = true_error(result, bone, truth.T_tracker_bone)
     document = result_to_json(
-        result, job.config, frame_id=frame_id, model_sha256=sha256, points_sha256=common.sha256_of(bag),
+        result, job.config, frame_id=frame_id, points_sha256=common.sha256_of(bag),
+        model_sha256=bone.bone_sha256 if bone else None,
         load_s=job.load_s + loaded - started, total_s=job.load_s + time.perf_counter() - started)
-    return Outcome(0 if result.success else 1, document, summary(result, frame_id, rejected) + against_truth)
+    common.write_report(job.report, result, bone, points, document, {
+        'model': job.config.model.path, 'recording': bag,
+        'frame of the points': frame_id or 'not known',
+        'not believed': common.counts_by_cause(rejected) or 'none',
+        'true error': against_truth or 'not known'})
+    told = summary(result, frame_id, rejected)
+    if against_truth:
+        told += f'\n  true error     {against_truth}'
+    return Outcome(0 if result.success else 1, document, told)

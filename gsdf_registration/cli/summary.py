@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gsdf_registration.cli.common import counts_by_cause
 from gsdf_registration.field import Field
 from gsdf_registration.result import RegistrationResult
 from gsdf_registration.rigid import Array, angle_between, transform
@@ -19,8 +20,7 @@ def summary(result: RegistrationResult, frame_id: str = '', rejected: Mapping[st
 
     ``rejected`` holds the points that were not believed, by cause.
     """
-    counts = ', '.join(f'{count} {cause.replace("_", " ")}'
-                       for cause, count in (rejected or {}).items() if count)
+    counts = counts_by_cause(rejected or {})
     rows = [('not believed', counts)] if counts else []
     T = result.T_tracker_bone
     if T is None:
@@ -39,12 +39,12 @@ def true_error(result: RegistrationResult, field: Field, truth: Array) -> str:
     """Return how far the pose is from the true one, in one line; TRE over the whole surface of the bone."""
     T = result.T_tracker_bone
     if T is None:
-        return 'true error     none, there is no pose'
+        return 'none, there is no pose'
     points = field.surface_points.astype(np.float64)
     tre = 1e3 * np.linalg.norm(transform(T, points) - transform(truth, points), axis=1)
     angle = np.degrees(angle_between(T[:3, :3], truth[:3, :3]))
     rms = np.sqrt(np.mean(tre**2))
-    return (f'true error     TRE over the bone {rms:.2f} mm RMS, {tre.max():.2f} mm at most; '
+    return (f'TRE over the bone {rms:.2f} mm RMS, {tre.max():.2f} mm at most; '
             f'rotation {angle:.2f} deg')
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from ros_support import ROOT
@@ -13,11 +14,13 @@ from ros_support import ROOT
 pytestmark = pytest.mark.ros
 
 
-def test_the_demonstration_finds_the_bone() -> None:
-    done = subprocess.run([sys.executable, '-m', 'gsdf_registration.cli.main', 'demo'], cwd=ROOT,
-                          capture_output=True, text=True)
+def test_the_demonstration_finds_the_bone(tmp_path: Path) -> None:
+    page = tmp_path / 'new' / 'page.html'
+    done = subprocess.run([sys.executable, '-m', 'gsdf_registration.cli.main', 'demo', '--report',
+                           str(page)], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     error = re.search(r'TRE over the bone ([\d.]+) mm RMS', done.stdout)
     assert error is not None, done.stdout
     assert float(error[1]) < 1.0
+    assert '<b>Registered</b>' in page.read_text(encoding='utf-8')
     assert re.search(r'the node saw +\d+ points; kept \d+ in \d+ strokes', done.stdout)
