@@ -90,7 +90,7 @@ def test_pose_covariance_is_that_of_the_pose_under_small_motions() -> None:
         moved = T @ rigid.inverse(D)
         rows.append(pose_error(moved, T))
     drawn = np.cov(np.array(rows).T)
-    claimed = Confidence(np.cov(motions.T), centre, SIGMA).pose_covariance(T)
+    claimed = Confidence(np.cov(motions.T), centre, SIGMA, 1.0).pose_covariance(T)
     scale = np.sqrt(np.diag(claimed))
     np.testing.assert_allclose(drawn / np.outer(scale, scale), claimed / np.outer(scale, scale), atol=0.01)
 
@@ -134,7 +134,7 @@ def test_the_weakest_direction_of_a_prism_is_along_it() -> None:
     normals[:250, 0], normals[250:, 1] = 1.0, 1.0
     normals[:5] = [0.0, 0.0, 1.0]                   # hardly anything of its end
     J = np.hstack([np.cross(points, normals), normals])
-    confidence = Confidence(1e-8 * np.linalg.inv(J.T @ J), np.zeros(3), 1e-4)
+    confidence = Confidence(1e-8 * np.linalg.inv(J.T @ J), np.zeros(3), 1e-4, 1.0)
     weakest = confidence.weakest_direction(points, {'end': np.array([0.0, 0.0, 0.05])})
     assert abs(weakest.axis[2]) > 0.99 and 'sliding' in weakest.sentence
     assert weakest.translation_sigma_m == pytest.approx(1e-4 / np.sqrt(5), rel=0.1)

@@ -5,64 +5,64 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
+from gsdf_registration.field.jit import compiled, inlined
 from gsdf_registration.field.triangles import distance2, write_sample
 
-_compiled = nb.njit(nogil=True, cache=True, error_model='numpy')
-_inline = nb.njit(nogil=True, cache=True, error_model='numpy', forceinline=True)
 
-
-@_compiled
-def mark_cells(tree, origin, edge, reach, distance):
+@compiled
+def mark_cells(tree, origin, edge, reach, first, last, distance):
     """
-    Find the cells whose centre is within ``reach`` of a triangle.
+    Find the cells of layers ``first`` to before ``last`` whose centre is within ``reach`` of a triangle.
 
     ``distance`` (bx, by, bz) float64, inf at first, is lowered to that of the centre.
     """
-    triangle, disc = tree.triangle, tree.disc
-    bx, by, bz = distance.shape
+    triangle, ball = tree.triangle, tree.ball
+    _, by, bz = distance.shape
     for t in range(len(triangle)):
-        grown = disc[t, 3] + reach
-        i0, i1 = _centres_between(disc[t, 0] - origin[0], grown, edge, bx)
-        j0, j1 = _centres_between(disc[t, 1] - origin[1], grown, edge, by)
-        k0, k1 = _centres_between(disc[t, 2] - origin[2], grown, edge, bz)
+        grown = ball[t, 3] + reach
+        i0, i1 = _centres_between(ball[t, 0] - origin[0], grown, edge, first, last)
+        if i0 >= i1:
+            continue
+        j0, j1 = _centres_between(ball[t, 1] - origin[1], grown, edge, 0, by)
+        k0, k1 = _centres_between(ball[t, 2] - origin[2], grown, edge, 0, bz)
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * edge
             for j in range(j0, j1):
                 y = origin[1] + (j + 0.5) * edge
                 for k in range(k0, k1):
                     z = origin[2] + (k + 0.5) * edge
-                    limit = disc[t, 3] + min(reach, distance[i, j, k])
-                    if ((x - disc[t, 0]) ** 2 + (y - disc[t, 1]) ** 2
-                            + (z - disc[t, 2]) ** 2 > limit * limit):
+                    limit = ball[t, 3] + min(reach, distance[i, j, k])
+                    if ((x - ball[t, 0]) ** 2 + (y - ball[t, 1]) ** 2
+                            + (z - ball[t, 2]) ** 2 > limit * limit):
                         continue
                     d = math.sqrt(distance2(triangle, t, x, y, z))
                     if d < distance[i, j, k] and d <= reach:
                         distance[i, j, k] = d
 
 
-@_inline
-def _centres_between(x, radius, edge, n):
-    """Return the range of cells whose centres lie within ``radius`` of ``x`` along one axis."""
-    return max(0, math.ceil((x - radius) / edge - 0.5)), min(n, math.floor((x + radius) / edge + 0.5))
+@inlined
+def _centres_between(x, radius, edge, first, last):
+    """Return the range of cells, along one axis, whose centres lie within ``radius`` of ``x``."""
+    return max(first, math.ceil((x - radius) / edge - 0.5)), min(last, math.floor((x + radius) / edge + 0.5))
 
 
-@_compiled
+@compiled
 def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
     """
     Spread the nearest triangles from the known nodes along ``axis``, there and back.
 
-    Lines ``first`` to before ``last`` of the next axis only: lines do not depend on each other.  ``nearest`` (nx, ny, nz)
-    int32, -1 where unknown, and ``distance2s`` float64, inf there, are filled once all axes had their turn.
+    Only lines from ``first`` to before ``last`` of the next axis: lines do not depend on each other.
+    ``nearest`` (nx, ny, nz) int32, -1 where unknown, and ``distance2s`` float64, inf there, are filled once
+    all axes had their turn.
     """
     triangle = tree.triangle
     at = np.empty(3, np.int64)
-    second, third = (axis + 1) % 3, (axis + 2) % 3
     n = nearest.shape[axis]
-    for at[second] in range(first, last):
-        for at[third] in range(nearest.shape[third]):
+    for p in range(first, last):
+        for q in range(nearest.shape[(axis + 2) % 3]):
+            at[(axis + 1) % 3], at[(axis + 2) % 3] = p, q
             for way in range(2):
                 t = -1
                 for s in range(n):
@@ -77,12 +77,12 @@ def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
                     t = nearest[i, j, k]
 
 
-@_compiled
-def fill_coarse(tree, origin, edge, nearest, coarse):
-    """Fill ``coarse`` (nx ny nz, 4) float32 from the triangles in ``nearest`` (nx, ny, nz)."""
+@compiled
+def fill_coarse(tree, origin, edge, nearest, first, last, coarse):
+    """Fill layers of ``coarse`` (nx ny nz, 4) float32 from the triangles in ``nearest`` (nx, ny, nz)."""
     triangle, normal = tree.triangle, tree.normal
-    nx, ny, nz = nearest.shape
-    for i in range(nx):
+    _, ny, nz = nearest.shape
+    for i in range(first, last):
         for j in range(ny):
             for k in range(nz):
                 write_sample(triangle, normal, nearest[i, j, k], origin[0] + i * edge, origin[1] + j * edge,

@@ -5,13 +5,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
+from gsdf_registration.field.jit import compiled, inlined
 from gsdf_registration.rigid import Array
-
-_compiled = nb.njit(nogil=True, cache=True, error_model='numpy')
-_inline = nb.njit(nogil=True, cache=True, error_model='numpy', forceinline=True)
 
 
 def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:
@@ -36,7 +33,7 @@ def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:
     return table
 
 
-@_compiled
+@compiled
 def _fill(vertices, faces, table):
     normal = np.empty((len(faces), 3))
     of_vertex = np.zeros((len(vertices), 3))
@@ -58,16 +55,17 @@ def _fill(vertices, faces, table):
             _write_unit(of_vertex[here, 0], of_vertex[here, 1], of_vertex[here, 2], table, f, 4 + c)
 
 
-@_inline
+@inlined
 def _add_corners(vertices, faces, f, normal, of_vertex):
     """Set the unit normal of face ``f`` and add it to its vertices', weighted by the angles there."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
+    vx, vy, vz = vertices[c, 0] - x, vertices[c, 1] - y, vertices[c, 2] - z
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     area2 = math.sqrt(nx * nx + ny * ny + nz * nz)
     normal[f, 0], normal[f, 1], normal[f, 2] = nx / area2, ny / area2, nz / area2
-    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+    uu, uv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz
     at_a, at_b = math.atan2(area2, uv), math.atan2(area2, uu - uv)
     for i in range(3):
         of_vertex[a, i] += at_a * normal[f, i]
@@ -75,7 +73,7 @@ def _add_corners(vertices, faces, f, normal, of_vertex):
         of_vertex[c, i] += (math.pi - at_a - at_b) * normal[f, i]
 
 
-@_inline
+@inlined
 def _write_unit(x, y, z, table, face, row):
     """Write (x, y, z) at unit length."""
     n = math.sqrt(x * x + y * y + z * z)
@@ -85,7 +83,7 @@ def _write_unit(x, y, z, table, face, row):
     table[face, row, 2] = z * s
 
 
-@_compiled
+@compiled
 def _faces_round_vertices(faces, n):
     """Return ``around`` and ``start``: the faces round vertex v are ``around[start[v]:start[v + 1]]``."""
     start = np.zeros(n + 1, np.int64)
