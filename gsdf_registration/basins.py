@@ -23,7 +23,8 @@ class Choice:
     The best solution and what stands against it.
 
     residuals : (n,) float, metres, of all points on strokes, at the pose
-    runner_up_ratio : cost of the best solution elsewhere over the cost of this one; None if no other was found
+    runner_up_ratio : cost of the best solution elsewhere over the cost of this one; None if no
+        other was found
     """
 
     solution: Solution
@@ -31,11 +32,13 @@ class Choice:
     runner_up_ratio: float | None
 
 
-def choose(solutions: Sequence[Solution], points: Array, field: Field, config: SolverConfig) -> Choice:
+def choose(solutions: Sequence[Solution], points: Array, field: Field,
+           config: SolverConfig) -> Choice:
     """
     Return the solution of the highest score, and how near the others come in cost.
 
-    The cost is Geman and McClure's, sum e^2 / (e^2 + c^2) over all points with c the Cauchy scale: far points count once.
+    The cost is Geman and McClure's, sum e^2 / (e^2 + c^2) over all points with c the Cauchy scale:
+    far points count once.
 
     Parameters
     ----------

@@ -49,14 +49,17 @@ class Bone:
     def sha256(self) -> str:
         """The hash of the geometry: what a field or a session is bound to."""
         digest = hashlib.sha256()
-        for name, array in (('vertices', self.vertices), ('faces', self.faces), ('normals', self.normals)):
+        for name, array in (('vertices', self.vertices), ('faces', self.faces), ('normals',
+                                                                                 self.normals)):
             if array is not None:
                 digest.update(f'{name}{array.shape}'.encode())
                 digest.update(np.ascontiguousarray(array, array.dtype.newbyteorder('<')).data)
         return digest.hexdigest()
 
 
-def make_bone(vertices: Array, faces: np.ndarray | None = None, normals: Array | None = None) -> Bone:
+def make_bone(vertices: Array,
+              faces: np.ndarray | None = None,
+              normals: Array | None = None) -> Bone:
     """
     Check, clean and orient the surface of a bone.
 
@@ -137,8 +140,9 @@ def _checked(array: Array, what: str) -> Array:
                          f'not an array of shape {array.shape}')
     bad = ~np.isfinite(array).all(axis=1)
     if bad.any():
-        raise InputError(f'{int(bad.sum())} of the {what} of the model are not finite, the first in row '
-                         f'{int(bad.argmax())}; export the model again')
+        raise InputError(
+            f'{int(bad.sum())} of the {what} of the model are not finite, the first in row '
+            f'{int(bad.argmax())}; export the model again')
     return array
 
 
@@ -146,7 +150,8 @@ def _checked_faces(faces: np.ndarray, n: int) -> np.ndarray:
     """Return ``faces`` as (m, 3) int64 with every index in range(n)."""
     faces = np.asarray(faces)
     if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
-        raise InputError('the faces of the model must be rows of three vertex indices; triangulate it first')
+        raise InputError(
+            'the faces of the model must be rows of three vertex indices; triangulate it first')
     bad = ((faces < 0) | (faces >= n)).any(axis=1)
     if bad.any():
         raise InputError(f'face {int(bad.argmax())} of the model names a vertex that is not there; '

@@ -2,10 +2,10 @@
 """
 The points a probe delivers: which are believed, how they are held, to which stroke they belong.
 
-A point passes two rows of gates, and is counted under the first that stops it.  The first row looks at the
-sample alone and is judged whether we collect or not: finite, in the frame of the session, later than the last
-of its source, fresh, of good quality.  The second asks whether it may join the collection: are we collecting,
-is it new, could the tip have got there, is there room.
+A point passes two rows of gates, and is counted under the first that stops it.  The first row looks
+at the sample alone and is judged whether we collect or not: finite, in the frame of the session,
+later than the last of its source, fresh, of good quality.  The second asks whether it may join the
+collection: are we collecting, is it new, could the tip have got there, is there room.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from gsdf_registration.config import GateConfig
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
 
-FARTHEST = 1e6      # m; trackers mark a missing value with a huge number as often as with NaN (NDI: -3.7e28)
-AGREEING = 3        # this many too fast points in a row that agree with one another are the tip after all
+# m; trackers mark a missing value with a huge number as often as with NaN (NDI: -3.7e28)
+FARTHEST = 1e6
+# this many too fast points in a row that agree with one another are the tip after all
+AGREEING = 3
 FIRST_ROOM = 1024   # points
 
 
@@ -45,7 +47,9 @@ class Rejection(str, Enum):
 
     @property
     def is_of_sample(self) -> bool:
-        """Whether the sample itself is at fault, so that it is good for nothing, a landmark included."""
+        """
+        Whether the sample itself is at fault, so that it is good for nothing, a landmark included.
+        """
         return self in _OF_SAMPLE
 
 
@@ -66,8 +70,8 @@ class Points(NamedTuple):
 class _Source:
     """What must be remembered of one stream of points."""
 
-    __slots__ = ('kept', 'on_our_clock', 'seen', 'seen_stamp', 'stamp', 'stroke', 'wild', 'wild_count',
-                 'wild_stamp')
+    __slots__ = ('kept', 'on_our_clock', 'seen', 'seen_stamp', 'stamp', 'stroke', 'wild',
+                 'wild_count', 'wild_stamp')
 
     def __init__(self) -> None:
         self.stamp = -math.inf                      # of the last sound sample, kept or not
@@ -85,8 +89,8 @@ class Collection:
     """
     Points of a session behind their gates, strokes numbered, refusals counted; not thread-safe.
 
-    A stroke is what one source delivers between `start_stroke` and `end_stroke`; a silence longer than
-    ``gate.max_gap`` or a jump splits it.
+    A stroke is what one source delivers between `start_stroke` and `end_stroke`; a silence longer
+    than ``gate.max_gap`` or a jump splits it.
 
     Parameters
     ----------
@@ -105,7 +109,9 @@ class Collection:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all points, counts, stamps and the frame learnt; whether we collect stays as it is."""
+        """
+        Forget all points, counts, stamps and the frame learnt; whether we collect stays as it is.
+        """
         self.frame_id: str | None = self._wanted_frame or None      # None: not known yet
         self.received = 0
         self.undone = 0
@@ -169,9 +175,10 @@ class Collection:
         source : int
             Which stream it belongs to; stamps, speed, duplicates and strokes are judged a stream.
         arrival : float, optional
-            When it came in, seconds on our clock.  The first point of a source decides whether its stamps are
-            on our clock too: within ``gate.max_age`` of the arrival.  Only then a later one can be stale; a
-            recording played back has a clock of its own and is never too old, however slowly it is played.
+            When it came in, seconds on our clock.  The first point of a source decides whether its
+            stamps are on our clock too: within ``gate.max_age`` of the arrival.  Only then a later
+            one can be stale; a recording played back has a clock of its own and is never too old,
+            however slowly it is played.
         quality : float, optional
             What the tracker says of its error, metres; NaN: it does not know.
 
@@ -198,7 +205,8 @@ class Collection:
     def _fault_of_sample(self, stream: _Source, stamp: float, point: Position, frame_id: str,
                          arrival: float | None, quality: float | None) -> Rejection | None:
         x, y, z = point
-        if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST and math.isfinite(stamp)):
+        if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST
+                and math.isfinite(stamp)):
             return Rejection.NOT_FINITE
         if self.frame_id is None:
             self.frame_id = frame_id
@@ -225,8 +233,9 @@ class Collection:
             stream.seen, stream.seen_stamp, stream.wild_count = point, stamp, 0
             return Rejection.DUPLICATE
         if stream.seen is not None and self._too_fast(stream.seen, stream.seen_stamp, point, stamp):
-            # One wild point must not lock out all good ones after it, nor a lost track what follows it: a
-            # silence, or a few points that agree with one another, and the tip is where they say.
+            # One wild point must not lock out all good ones after it, nor a lost track what follows
+            # it: a silence, or a few points that agree with one another, and the tip is where they
+            # say.
             lost = stamp - stream.seen_stamp > self.gate.max_gap
             if not lost and not self._agrees(stream, point, stamp):
                 return Rejection.TOO_FAST
@@ -274,7 +283,8 @@ class Collection:
         Raises
         ------
         InputError
-            When they are too many, or in another frame than the one wanted; nothing is changed then.
+            When they are too many, or in another frame than the one wanted; nothing is changed
+            then.
 
         """
         if len(points.stamps) > self.max_points:

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-How good a pose is: its covariance, the error to expect at a target, and the motion the data hold least.
+How good a pose is: its covariance, the error to expect at a target, and the motion the data hold
+least.
 
-All of it follows from one 6 x 6 matrix, the covariance of a small motion [rotation about m, translation] of the bone frame, m the
-centroid of the points: for a target q the motion is B_q [xi, phi] with B_q = [-(q - m)^, I].
+All of it follows from one 6 x 6 matrix, the covariance of a small motion [rotation about m,
+translation] of the bone frame, m the centroid of the points: for a target q the motion is B_q [xi,
+phi] with B_q = [-(q - m)^, I].
 """
 
 from __future__ import annotations
@@ -25,10 +27,12 @@ class Confidence:
     """
     What the points say about the pose.
 
-    motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone axes
+    motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone
+        axes
     centre : (3,) float, m, bone frame: the centroid of the points
     sigma : float, m, noise of a point along the surface normal
-    pattern : float, how much more residuals of neighbours vary together than white noise would; 1 for the right bone and tracker
+    pattern : float, how much more residuals of neighbours vary together than white noise would; 1
+        for the right bone and tracker
     """
 
     motion_covariance: Array
@@ -37,17 +41,20 @@ class Confidence:
     pattern: float
 
     def predicted_tre(self, targets: Array) -> Array:
-        """Return the predicted TRE (RMS, m) at each of ``targets`` (n, 3), m, bone frame; shape (n,)."""
+        """
+        Return the predicted TRE (RMS, m) at each of ``targets`` (n, 3), m, bone frame; shape (n,).
+        """
         # trace(B C B^T) with B = [-(q - m)^, I], written out for all targets at once
         B = motion_at(targets - self.centre)
         return np.asarray(np.sqrt((B @ self.motion_covariance * B).sum(axis=(1, 2))))
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
-        Return the (6, 6) covariance of the bone's pose in REP-103 order: x y z rx ry rz, fixed axes, m and rad.
+        Return the (6, 6) covariance of the bone's pose in REP-103 order: x y z rx ry rz, fixed
+        axes, m and rad.
 
-        A motion D of the bone frame turns ``T_tracker_bone`` into T D^-1, so the origin moves by R (xi x m - phi) and the
-        attitude by -R xi.
+        A motion D of the bone frame turns ``T_tracker_bone`` into T D^-1, so the origin moves by R
+        (xi x m - phi) and the attitude by -R xi.
         """
         R = T_tracker_bone[:3, :3]
         G = np.block([[-R @ rigid.skew(self.centre), -R], [-R, np.zeros((3, 3))]])
@@ -58,9 +65,9 @@ class Confidence:
         """
         Return the motion that the data hold least, as a screw.
 
-        Least held is what moves the bone's surface (n, 3) most at one standard deviation: the largest eigenvalue of C in the metric M =
-        mean B_q^T B_q, which weighs radians against metres as the bone's own size does.  ``names`` are points of the bone, m, to speak
-        of it by.
+        Least held is what moves the bone's surface (n, 3) most at one standard deviation: the
+        largest eigenvalue of C in the metric M = mean B_q^T B_q, which weighs radians against
+        metres as the bone's own size does.  ``names`` are points of the bone, m, to speak of it by.
         """
         B = motion_at(surface - self.centre)
         B = B.reshape(-1, 6)
@@ -85,9 +92,11 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     """
     Return the confidence of a solution, or None if its points do not hold the pose.
 
-    The covariance of an M-estimate (Huber 1981, section 6.3), tau sigma^2 H^-1 (sum w J J^T) H^-1 with H = sum psi' J J^T, psi = w e;
-    for plain least squares the Cramer-Rao bound sigma^2 (J^T J)^-1.  tau >= 1 is how much more the residuals of neighbours vary together
-    than white noise would: the error of a model is the same over a stretch, and a hundred points there tell it no better than one.
+    The covariance of an M-estimate (Huber 1981, section 6.3), tau sigma^2 H^-1 (sum w J J^T) H^-1
+    with H = sum psi' J J^T, psi = w e; for plain least squares the Cramer-Rao bound sigma^2 (J^T
+    J)^-1.  tau >= 1 is how much more the residuals of neighbours vary together than white noise
+    would: the error of a model is the same over a stretch, and a hundred points there tell it no
+    better than one.
 
     Parameters
     ----------
@@ -107,7 +116,8 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     variance = float((w * e**2).sum() / w.sum())
     psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
     around = solution.weights[neighbours[used]]
-    mean = (around * np.nan_to_num(solution.residuals)[neighbours[used]]).sum(axis=1) / np.maximum(around.sum(axis=1), 1e-9)
+    mean = (around * np.nan_to_num(solution.residuals)[neighbours[used]]).sum(axis=1) / np.maximum(
+        around.sum(axis=1), 1e-9)
     together = neighbours.shape[1] * float((w * mean**2).sum() / w.sum()) / max(variance, 1e-300)
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
     C = max(1.0, together) * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
@@ -115,7 +125,8 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     return Confidence(C, centre, float(np.sqrt(variance)), together)
 
 
-def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str, Array]) -> WeakestDirection:
+def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str,
+                                                                        Array]) -> WeakestDirection:
     """Return the screw of a motion [xi, phi] about ``centre``, with its sentence."""
     xi, phi = motion[:3], motion[3:]
     angle = float(np.linalg.norm(xi))
@@ -136,7 +147,9 @@ def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str, Arr
 
 
 def _direction_words(direction: Array, surface: Array) -> str:
-    """Name a direction: the bone's long axis if it is that, else its components in the bone frame."""
+    """
+    Name a direction: the bone's long axis if it is that, else its components in the bone frame.
+    """
     _, spread, axes = np.linalg.svd(surface - surface.mean(axis=0), full_matrices=False)
     if spread[0] > 2.0 * spread[1] and abs(axes[0] @ direction) > np.cos(np.radians(15.0)):
         return "the bone's long axis"

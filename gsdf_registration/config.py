@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Every setting, once: the same dotted names here, in ``config/*.yaml``, in ``--config`` and as ROS parameters.
+Every setting, once: the same dotted names here, in ``config/*.yaml``, in ``--config`` and as ROS
+parameters.
 
 You need none of this to run the system; the defaults are meant to do.
 """
@@ -34,8 +35,8 @@ class ModelConfig:
                          'a path or a package:// URI')
     unit: str = _setting('mm', 'unit of the lengths in the model file', choices=('mm', 'm'))
     frame_id: str = _setting('bone', 'name of the frame of the bone model', fixed=True)
-    voxel_size: float = _setting(0.001, 'spacing of the signed-distance samples near the surface', 'm',
-                                 1e-4, 0.01)
+    voxel_size: float = _setting(0.001, 'spacing of the signed-distance samples near the surface',
+                                 'm', 1e-4, 0.01)
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,10 @@ class ProbeConfig:
 class ReferenceConfig:
     """The array fixed to the bone, if it moves."""
 
-    topic: str = _setting('', 'PoseStamped topic of the reference array in the tracker frame; empty: none',
-                          fixed=True)
+    topic: str = _setting(
+        '',
+        'PoseStamped topic of the reference array in the tracker frame; empty: none',
+        fixed=True)
 
 
 @dataclass(frozen=True)
@@ -67,11 +70,15 @@ class CollectConfig:
 class GateConfig:
     """Which points are believed."""
 
-    max_speed: float = _setting(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0, 100.0)
+    max_speed: float = _setting(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0,
+                                100.0)
     max_gap: float = _setting(0.5, 'a longer silence starts a new stroke', 's', 0.0, 3600.0)
-    min_distance: float = _setting(0.0, 'a point this near to the last one is a duplicate', 'm', 0.0, 0.01)
-    max_age: float = _setting(0.5, 'a point older than this when it arrives is refused', 's', 0.0, 3600.0)
-    quality: float = _setting(0.001, "a point whose tracker error exceeds this is refused; 0: don't look",
+    min_distance: float = _setting(0.0, 'a point this near to the last one is a duplicate', 'm',
+                                   0.0, 0.01)
+    max_age: float = _setting(0.5, 'a point older than this when it arrives is refused', 's', 0.0,
+                              3600.0)
+    quality: float = _setting(0.001,
+                              "a point whose tracker error exceeds this is refused; 0: don't look",
                               'm', 0.0, 0.1)
 
 
@@ -93,8 +100,11 @@ class SearchConfig:
     places: int = _setting(30, 'places on the bone tried for each of them', '', 1, 10_000)
     parts: int = _setting(3, 'parts of the points that are also tried alone', '', 0, 100)
     reach: float = _setting(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
-    radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm', 1e-4, 0.1)
-    spacing: float = _setting(0.002, 'points nearer to one another than this count as one in the search', 'm', 1e-5, 0.1)
+    radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm',
+                             1e-4, 0.1)
+    spacing: float = _setting(0.002,
+                              'points nearer to one another than this count as one in the search',
+                              'm', 1e-5, 0.1)
     solutions: int = _setting(6, 'poses that fit best which are solved to the end', '', 1, 100)
     threads: int = _setting(0, 'worker threads; 0: one a core', '', 0, 256)
 
@@ -106,14 +116,21 @@ class SolverConfig:
     method: str = _setting('mixture', 'how the pose is estimated: mixture, or the published method',
                            choices=('mixture', 'paper'))
     max_iterations: int = _setting(200, 'Gauss-Newton steps at most', '', 1, 100_000)
-    neighbours: int = _setting(16, 'mixture: points whose mean residual tells bone from interference', '', 2, 1000)
-    reach: float = _setting(0.006, 'mixture: interference is reckoned with this far from the bone', 'm', 1e-4, 0.1)
-    model_error: float = _setting(0.0003, 'mixture: how far the model may be off over a stretch', 'm', 0.0, 0.01)
+    neighbours: int = _setting(16,
+                               'mixture: points whose mean residual tells bone from interference',
+                               '', 2, 1000)
+    reach: float = _setting(0.006, 'mixture: interference is reckoned with this far from the bone',
+                            'm', 1e-4, 0.1)
+    model_error: float = _setting(0.0003, 'mixture: how far the model may be off over a stretch',
+                                  'm', 0.0, 0.01)
     tolerance: float = _setting(1e-6, 'mixture: a shorter step is the last', 'm', 1e-15, 1e-3)
-    cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm', 1e-5, 0.1)
-    discard_below: float = _setting(0.1, 'paper: a point of less weight is discarded (delta of Algorithm 1)', '', 0.0, 1.0)
-    weight_tolerance: float = _setting(1e-3, 'paper: IRLS ends when the weights move less, root mean square (epsilon of '
-                                       'Algorithm 1)', '', 1e-12, 1.0)
+    cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
+                                   1e-5, 0.1)
+    discard_below: float = _setting(
+        0.1, 'paper: a point of less weight is discarded (delta of Algorithm 1)', '', 0.0, 1.0)
+    weight_tolerance: float = _setting(
+        1e-3, 'paper: IRLS ends when the weights move less, root mean square (epsilon of '
+        'Algorithm 1)', '', 1e-12, 1.0)
     hold: int = _setting(2, 'paper: the end must be met this many times in a row', '', 1, 100)
 
 
@@ -123,16 +140,21 @@ class LimitsConfig:
 
     min_points: int = _setting(30, 'fewer points are no registration', '', 6, 100_000)
     min_extent: float = _setting(0.02, 'the points must span this much', 'm', 0.0, 1.0)
-    min_inliers: float = _setting(0.5, 'share of the points on strokes that must lie on the bone', '', 0.0, 1.0)
-    max_pattern: float = _setting(2.0, 'residuals that vary together along the strokes this many times more than noise '
-                                  'does are not of this bone', '', 1.0, 1000.0)
-    clear_inliers: float = _setting(0.82, 'with this share of the points on the bone a pattern is put down to the model',
-                                    '', 0.0, 1.0)
-    max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker', 'm',
-                                1e-5, 0.1)
-    min_runner_up_ratio: float = _setting(1.1, 'cost of the next-best pose over that of the best; nearer is ambiguous',
-                                          '', 1.0, 100.0)
-    max_predicted_tre: float = _setting(0.002, 'predicted TRE (RMS) allowed at the targets', 'm', 1e-5, 1.0)
+    min_inliers: float = _setting(0.5, 'share of the points on strokes that must lie on the bone',
+                                  '', 0.0, 1.0)
+    max_pattern: float = _setting(
+        2.0, 'residuals that vary together along the strokes this many times more than noise '
+        'does are not of this bone', '', 1.0, 1000.0)
+    clear_inliers: float = _setting(
+        0.82, 'with this share of the points on the bone a pattern is put down to the model', '',
+        0.0, 1.0)
+    max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker',
+                                'm', 1e-5, 0.1)
+    min_runner_up_ratio: float = _setting(
+        1.1, 'cost of the next-best pose over that of the best; nearer is ambiguous', '', 1.0,
+        100.0)
+    max_predicted_tre: float = _setting(0.002, 'predicted TRE (RMS) allowed at the targets', 'm',
+                                        1e-5, 1.0)
     verification: float = _setting(0.002, 'distance at a verification point that still passes', 'm',
                                    1e-5, 0.1)
 
@@ -149,7 +171,8 @@ class TargetsConfig:
 class TfConfig:
     """The transform on /tf."""
 
-    rate: float = _setting(10.0, 'the bone transform is re-sent this often; 0: never', 'Hz', 0.0, 1000.0)
+    rate: float = _setting(10.0, 'the bone transform is re-sent this often; 0: never', 'Hz', 0.0,
+                           1000.0)
 
 
 @dataclass(frozen=True)
@@ -184,7 +207,8 @@ class Config:
         Raises
         ------
         InputError
-            At an unknown name, a wrong type, a value out of range, or positions that do not match their names.
+            At an unknown name, a wrong type, a value out of range, or positions that do not match
+            their names.
 
         """
         return cls().replaced(values)
@@ -194,8 +218,8 @@ class Config:
         """
         Return a config from nested mappings, also in the shape of a ROS parameter file.
 
-        A node name (``registration:`` or ``/**:``) and ``ros__parameters:`` above the sections are stepped over, so one file
-        serves the node and the command line.
+        A node name (``registration:`` or ``/**:``) and ``ros__parameters:`` above the sections are
+        stepped over, so one file serves the node and the command line.
 
         Raises
         ------
@@ -205,7 +229,8 @@ class Config:
         """
         while len(values) == 1:
             key, inner = next(iter(values.items()))
-            if key != 'ros__parameters' and not (isinstance(inner, Mapping) and 'ros__parameters' in inner):
+            if key != 'ros__parameters' and not (isinstance(inner, Mapping)
+                                                 and 'ros__parameters' in inner):
                 break
             values = inner
         return cls.from_flat(dict(_flattened(values)))
@@ -237,7 +262,9 @@ class Config:
 
 
 def settings() -> Iterator[tuple[str, dataclasses.Field[Any]]]:
-    """Yield the dotted name and the field of every setting; metadata: description, unit, low, high..."""
+    """
+    Yield the dotted name and the field of every setting; metadata: description, unit, low, high...
+    """
     for section in dataclasses.fields(Config):
         for setting in dataclasses.fields(section.default_factory):  # type: ignore[arg-type]
             yield f'{section.name}.{setting.name}', setting
@@ -277,11 +304,13 @@ def _checked(name: str, value: Any, setting: dataclasses.Field[Any]) -> Any:
         return [item(v) for v in value]
     kind = type(default)
     if not _fits(value, kind):
-        wanted = {bool: 'a bool', str: 'a str', int: 'a whole number', float: 'a finite number'}[kind]
+        wanted = {bool: 'a bool', str: 'a str', int: 'a whole number',
+                  float: 'a finite number'}[kind]
         raise InputError(f'{name} must be {wanted}, not {value!r}')
     low, high = about['low'], about['high']
     if low is not None and not low <= value <= high:
-        raise InputError(f'{name} must lie in [{low:g}, {high:g}] {about["unit"]}'.rstrip() + f', not {value:g}')
+        raise InputError(f'{name} must lie in [{low:g}, {high:g}] {about["unit"]}'.rstrip()
+                         + f', not {value:g}')
     if about['choices'] and value not in about['choices']:
         raise InputError(f'{name} must be one of {", ".join(about["choices"])}, not "{value}"')
     return kind(value)

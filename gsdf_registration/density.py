@@ -21,8 +21,9 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
     """
     Tell which points lie on strokes rather than scattered in space.
 
-    A point counts if more neighbours than chance would give stand within ``radius``, and if it belongs to a chain of such points.
-    Where no point does, the points were taken one by one and all of them count.
+    A point counts if more neighbours than chance would give stand within ``radius``, and if it
+    belongs to a chain of such points. Where no point does, the points were taken one by one and all
+    of them count.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def _least_neighbours(neighbours: NDArray[np.intp]) -> int:
     # Scattered points have Poisson counts, whose rate is the ratio of their first two frequencies
     rate = paired / lone if lone > 20 else 0.0
     least = MIN_NEIGHBOURS
-    while len(neighbours) * poisson.sf(least - 1, rate) > 0.01 * np.count_nonzero(neighbours >= least) > 0:
+    while len(neighbours) * poisson.sf(least - 1,
+                                       rate) > 0.01 * np.count_nonzero(neighbours >= least) > 0:
         least += 1
     return least
 
@@ -64,7 +66,8 @@ def spread_sample(points: Array, count: int) -> NDArray[np.intp]:
     """
     Return the indices of at most ``count`` points, each as far from those before it as can be.
 
-    Farthest-point sampling: the first few already span the whole.  The order of the points does not matter but for ties.
+    Farthest-point sampling: the first few already span the whole.  The order of the points does not
+    matter but for ties.
 
     Parameters
     ----------
@@ -81,7 +84,11 @@ def spread_sample(points: Array, count: int) -> NDArray[np.intp]:
 
 
 def thinned(points: Array, spacing: float) -> NDArray[np.intp]:
-    """Return the indices of one point for each cube of edge ``spacing``: the one nearest to the mean of its cube."""
+    """
+    Return the indices of one point for each cube of edge ``spacing``.
+
+    The one nearest to the mean of its cube.
+    """
     _, cube = np.unique(np.floor(points / spacing).astype(np.int64), axis=0, return_inverse=True)
     cube = cube.ravel()
     size = np.bincount(cube)
@@ -92,7 +99,11 @@ def thinned(points: Array, spacing: float) -> NDArray[np.intp]:
 
 
 def first_of_each(points: Array) -> NDArray[np.bool_]:
-    """Tell which of the points (n, 3) are not exact repeats of earlier ones: a reading repeated adds nothing."""
+    """
+    Tell which of the points (n, 3) are not exact repeats of earlier ones.
+
+    A reading repeated adds nothing.
+    """
     first = np.zeros(len(points), dtype=bool)
     first[np.unique(points, axis=0, return_index=True)[1]] = True
     return first

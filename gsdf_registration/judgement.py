@@ -38,26 +38,35 @@ def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bo
     residuals, weights = np.full(len(dense), np.nan), np.zeros(len(dense))
     residuals[dense], weights[dense] = choice.residuals, solution.weights
     known: dict[str, Any] = {
-        'T_tracker_bone': T_tracker_bone, 'covariance': None, 'used': int(dense.sum()), 'inliers': int(inlier.sum()),
-        'runner_up_ratio': choice.runner_up_ratio, 'iterations': solution.iterations,
-        'residual_rms_m': float(np.sqrt(np.mean(choice.residuals[inlier] ** 2))) if inlier.any() else None,
-        'residuals_m': residuals, 'weights': weights, 'history': solution.history}
+        'T_tracker_bone': T_tracker_bone, 'covariance': None, 'used': int(dense.sum()),
+        'inliers': int(inlier.sum()), 'runner_up_ratio': choice.runner_up_ratio,
+        'iterations': solution.iterations, 'residual_rms_m': float(
+            np.sqrt(np.mean(choice.residuals[inlier]**2))) if inlier.any() else None,
+        'residuals_m': residuals, 'weights': weights, 'history': solution.history
+    }
     if confidence is not None:
         positions = np.reshape(config.landmarks.positions + config.targets.positions, (-1, 3))
         named = dict(zip(config.landmarks.names + config.targets.names, positions))
         surface = field.surface_points.astype(np.float64)
         everywhere = confidence.predicted_tre(surface)
         targets = confidence.predicted_tre(positions[len(config.landmarks.names):])
-        known |= {'sigma_m': confidence.sigma, 'covariance': confidence.pose_covariance(T_tracker_bone),
-                  'weakest_direction': confidence.weakest_direction(surface, named),
-                  'predicted_tre_m': {**dict(zip(config.targets.names, targets.tolist())),
-                                      'rms': float(np.sqrt(np.mean(everywhere**2))), 'max': float(everywhere.max())}}
+        known |= {
+            'sigma_m': confidence.sigma, 'covariance': confidence.pose_covariance(T_tracker_bone),
+            'weakest_direction': confidence.weakest_direction(surface, named), 'predicted_tre_m': {
+                **dict(zip(config.targets.names, targets.tolist())), 'rms': float(
+                    np.sqrt(np.mean(everywhere**2))), 'max': float(everywhere.max())
+            }
+        }
     return known
 
 
-def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, points: Array, field: Field,
-          config: Config) -> Refusal | None:
-    """Return why a solution must not be used, or None if it may; ``points`` (n, 3) are those on strokes."""
+def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, points: Array,
+          field: Field, config: Config) -> Refusal | None:
+    """
+    Return why a solution must not be used, or None if it may.
+
+    ``points`` (n, 3) are those on strokes.
+    """
     limits = config.limits
     inliers, used = known['inliers'], known['used']
     on_bone = points[choice.solution.weights > 0.5]
@@ -65,33 +74,51 @@ def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, 
         return Refusal(Reason.TOO_FEW_INLIERS, f'only {inliers} of {used} points lie on the bone; '
                        'check that this is the bone and the probe is the one calibrated')
     if confidence is None:
-        return Refusal(Reason.UNDER_CONSTRAINED, 'the points do not hold the pose; touch other sides of the bone')
+        return Refusal(Reason.UNDER_CONSTRAINED,
+                       'the points do not hold the pose; touch other sides of the bone')
     extent = float(np.ptp(on_bone, axis=0).max())
     if extent < limits.min_extent:
-        return Refusal(Reason.REGION_TOO_SMALL, f'the points on the bone span only {length(extent)}, {length(limits.min_extent)} are '
-                       'needed; drag the probe over more of the bone')
+        return Refusal(
+            Reason.REGION_TOO_SMALL,
+            f'the points on the bone span only {length(extent)}, {length(limits.min_extent)} are '
+            'needed; drag the probe over more of the bone')
     if confidence.sigma > limits.max_sigma:
-        return Refusal(Reason.MODEL_MISMATCH, f'the points scatter {length(confidence.sigma)} about the bone, more than any tracker does; '
-                       'check that this is the bone')
+        return Refusal(
+            Reason.MODEL_MISMATCH,
+            f'the points scatter {length(confidence.sigma)} about the bone, more than any tracker does; '
+            'check that this is the bone')
     if confidence.pattern > limits.max_pattern and inliers < limits.clear_inliers * used:
-        return Refusal(Reason.MODEL_MISMATCH, f'{used - inliers} of {used} points lie off the bone, and the others fit it no better than '
-                       'another bone would; check that the model is of this patient, this side and this unit')
-    error = error_that_matters(confidence, rigid.transform(choice.solution.T_bone_tracker, on_bone), field, config)
+        return Refusal(
+            Reason.MODEL_MISMATCH,
+            f'{used - inliers} of {used} points lie off the bone, and the others fit it no better than '
+            'another bone would; check that the model is of this patient, this side and this unit')
+    error = error_that_matters(confidence, rigid.transform(choice.solution.T_bone_tracker, on_bone),
+                               field, config)
     if error > limits.max_predicted_tre:
-        return Refusal(Reason.UNDER_CONSTRAINED, f'an error of {length(error)} is to be expected, {length(limits.max_predicted_tre)} is '
-                       f'allowed; {known["weakest_direction"].sentence}; touch the bone where that would show')
+        return Refusal(
+            Reason.UNDER_CONSTRAINED,
+            f'an error of {length(error)} is to be expected, {length(limits.max_predicted_tre)} is '
+            f'allowed; {known["weakest_direction"].sentence}; touch the bone where that would show')
     ratio = choice.runner_up_ratio
     if ratio is not None and ratio < limits.min_runner_up_ratio:
-        return Refusal(Reason.AMBIGUOUS, f'another pose fits nearly as well (its cost is {ratio:.2f} times as high); '
-                       'touch a part of the bone that looks different, or start from landmarks')
+        return Refusal(
+            Reason.AMBIGUOUS,
+            f'another pose fits nearly as well (its cost is {ratio:.2f} times as high); '
+            'touch a part of the bone that looks different, or start from landmarks')
     if not choice.solution.settled:
-        return Refusal(Reason.NOT_CONVERGED, f'no pose was settled on: {choice.solution.termination}; '
-                       'touch more of the bone or start from landmarks')
+        return Refusal(
+            Reason.NOT_CONVERGED, f'no pose was settled on: {choice.solution.termination}; '
+            'touch more of the bone or start from landmarks')
     return None
 
 
-def error_that_matters(confidence: Confidence, touched: Array, field: Field, config: Config) -> float:
-    """Return the predicted TRE (RMS, m): at the named targets, or without any, on the bone within 100 mm of what was ``touched``."""
+def error_that_matters(confidence: Confidence, touched: Array, field: Field,
+                       config: Config) -> float:
+    """
+    Return the predicted TRE (RMS, m).
+
+    At the named targets, or without any, on the bone within 100 mm of what was ``touched``.
+    """
     targets = np.reshape(config.targets.positions, (-1, 3))
     if not len(targets):
         surface = field.surface_points.astype(np.float64)
@@ -101,8 +128,10 @@ def error_that_matters(confidence: Confidence, touched: Array, field: Field, con
 
 def summary(known: dict[str, Any]) -> str:
     """Return one plain sentence on a pose that may be used."""
-    return (f'registered on {known["inliers"]} of {known["used"]} points; expected error '
-            f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone; {known["weakest_direction"].sentence}')
+    return (
+        f'registered on {known["inliers"]} of {known["used"]} points; expected error '
+        f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone; {known["weakest_direction"].sentence}'
+    )
 
 
 def length(metres: float) -> str:

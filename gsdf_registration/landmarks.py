@@ -31,13 +31,15 @@ def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, fl
     Raises
     ------
     InputError
-        If there are fewer than three pairs, two of them coincide, or they lie on a line: a rotation about the line would be free.
+        If there are fewer than three pairs, two of them coincide, or they lie on a line: a rotation
+        about the line would be free.
 
     """
     model, tracker = as_numbers(model, 'model landmarks'), as_numbers(tracker, 'touched landmarks')
     if model.shape != tracker.shape or model.ndim != 2 or model.shape[1] != 3:
-        raise InputError(f'landmarks need one touched point for each model point; got arrays of shape {model.shape} and '
-                         f'{tracker.shape}')
+        raise InputError(
+            f'landmarks need one touched point for each model point; got arrays of shape {model.shape} and '
+            f'{tracker.shape}')
     if len(model) < 3:
         raise InputError(f'{len(model)} landmark(s) do not fix a pose; touch at least three')
     if not (np.isfinite(model).all() and np.isfinite(tracker).all()):
@@ -52,11 +54,14 @@ def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, fl
 def _refuse_degenerate(points: Array, where: str) -> None:
     """Raise InputError where two of the points coincide or all lie on a line."""
     distance = np.linalg.norm(points[:, None] - points[None], axis=2)
-    i, j = np.unravel_index(np.argmin(distance + np.diag(np.full(len(points), np.inf))), distance.shape)
+    i, j = np.unravel_index(np.argmin(distance + np.diag(np.full(len(points), np.inf))),
+                            distance.shape)
     if distance[i, j] < MIN_SEPARATION:
-        raise InputError(f'landmarks {min(i, j) + 1} and {max(i, j) + 1} {where} are only {1e3 * distance[i, j]:.1f} mm apart; '
-                         'touch points that are well apart')
+        raise InputError(
+            f'landmarks {min(i, j) + 1} and {max(i, j) + 1} {where} are only {1e3 * distance[i, j]:.1f} mm apart; '
+            'touch points that are well apart')
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < MIN_SPREAD * spread[0]:
-        raise InputError(f'the landmarks {where} lie on a line, which leaves the rotation about it free; touch a point '
-                         'off the line')
+        raise InputError(
+            f'the landmarks {where} lie on a line, which leaves the rotation about it free; touch a point '
+            'off the line')

@@ -3,8 +3,8 @@
 What segmentation and export do to a mesh, undone.
 
 Every step takes ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int64 and appends a sentence to
-``notes`` if it had to change anything. Bodies are the sets of faces connected over shared edges, numbered
-in ``bodies`` (m,).
+``notes`` if it had to change anything. Bodies are the sets of faces connected over shared edges,
+numbered in ``bodies`` (m,).
 """
 
 from __future__ import annotations
@@ -22,13 +22,16 @@ SPECK = 0.01            # bodies with less than this share of the largest one's 
 PROBES = 24             # places where the orientation of a body is tested
 
 
-def merge_vertices(vertices: Array, faces: np.ndarray, notes: list[str]) -> tuple[Array, np.ndarray]:
+def merge_vertices(vertices: Array, faces: np.ndarray,
+                   notes: list[str]) -> tuple[Array, np.ndarray]:
     """Merge vertices in the same place; the first one's coordinates stay."""
     low = vertices.min(axis=0)
     close = SAME_PLACE * float(np.ptp(vertices, axis=0).max())
-    # first by cells of that size, which bounds the neighbours of each; then across the walls of the cells
+    # first by cells of that size, which bounds the neighbours of each; then across the walls of the
+    # cells
     cell = ((vertices - low) / close).astype(np.int64)
-    _, first, label = np.unique((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2], return_index=True,
+    _, first, label = np.unique((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2],
+                                return_index=True,
                                 return_inverse=True)
     representative = first[label.ravel()]
     pairs = cKDTree(vertices[first]).query_pairs(close, output_type='ndarray')
@@ -71,9 +74,9 @@ def wind_consistently(faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, 
     """
     Wind the faces of each body alike and return them with their ``bodies``.
 
-    Each face is taken twice, as it is and flipped; across every edge of just two faces the windings that
-    agree are joined.  The set of windings that hangs together with the first face as it is, is a
-    consistent one; there is no order to walk in.
+    Each face is taken twice, as it is and flipped; across every edge of just two faces the windings
+    that agree are joined.  The set of windings that hangs together with the first face as it is, is
+    a consistent one; there is no order to walk in.
     """
     pairs, agree = _neighbours(faces)
     m = len(faces)
@@ -82,8 +85,10 @@ def wind_consistently(faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, 
         return faces, bodies
     left, right = pairs.T
     other = np.where(agree, right, right + m)
-    _, winding = _components(np.concatenate([np.stack([left, other], axis=1),
-                                             np.stack([left + m, (other + m) % (2 * m)], axis=1)]), 2 * m)
+    _, winding = _components(
+        np.concatenate(
+            [np.stack([left, other], axis=1),
+             np.stack([left + m, (other + m) % (2 * m)], axis=1)]), 2 * m)
     first = np.full(count, m)
     np.minimum.at(first, bodies, np.arange(m))
     flipped = winding[:m] != winding[first[bodies]]
@@ -94,7 +99,8 @@ def wind_consistently(faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, 
     return np.where(flipped[:, None], faces[:, ::-1], faces), bodies
 
 
-def large_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes: list[str]) -> np.ndarray:
+def large_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
+                 notes: list[str]) -> np.ndarray:
     """Return which faces (m,) belong to bodies that are more than specks."""
     area = np.bincount(bodies, areas(vertices, faces))
     specks = area < SPECK * area.max()
@@ -103,7 +109,8 @@ def large_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes: 
     return ~specks[bodies]
 
 
-def orient_outward(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes: list[str]) -> np.ndarray:
+def orient_outward(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
+                   notes: list[str]) -> np.ndarray:
     """
     Turn the bodies that are inside out.
 
@@ -125,8 +132,11 @@ def orient_outward(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes
     return faces
 
 
-def outer_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Return which faces (m,) are not of a body wholly inside another one, where no probe can go."""
+def outer_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
+                 notes: list[str]) -> np.ndarray:
+    """
+    Return which faces (m,) are not of a body wholly inside another one, where no probe can go.
+    """
     names = np.unique(bodies)
     inner = []
     for body in names if len(names) > 1 else ():
@@ -159,7 +169,10 @@ def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _components(pairs: np.ndarray, n: int) -> tuple[int, np.ndarray]:
-    """Return number and labels (n,) of the connected components of the graph with edges ``pairs``."""
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    """
+    Return number and labels (n,) of the connected components of the graph with edges ``pairs``.
+    """
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])),
+                      shape=(n, n))
     count, label = connected_components(graph, directed=False)
     return count, label

@@ -20,7 +20,8 @@ def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
     Parameters
     ----------
     path : str
-        Mesh (STL, PLY, OBJ, OFF), point cloud with normals, or field (.gsdf); a path or a package:// URI.
+        Mesh (STL, PLY, OBJ, OFF), point cloud with normals, or field (.gsdf); a path or a
+        package:// URI.
     unit : str
         Of the lengths in the file, 'mm' or 'm'; a field knows its own.
     voxel_size : float
@@ -29,7 +30,8 @@ def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
     Raises
     ------
     InputError
-        When there is no such file, it is damaged, or its size is not a bone's (reason `wrong_unit`).
+        When there is no such file, it is damaged, or its size is not a bone's (reason
+        `wrong_unit`).
 
     """
     file = find_model(path)
@@ -47,8 +49,8 @@ def find_model(path: str) -> Path:
     """
     Return the file of a path or of a ``package://name/path`` URI.
 
-    A package is looked for in the ament index, in ``share/`` of this Python, and where it is imported from, a
-    checkout included.
+    A package is looked for in the ament index, in ``share/`` of this Python, and where it is
+    imported from, a checkout included.
 
     Raises
     ------

@@ -24,9 +24,14 @@ from gsdf_registration.search import find_basins
 from gsdf_registration.solver import nearest_neighbours, solve
 
 
-def register(points: ArrayLike, field: Field, config: Config = Config(), *,
-             landmarks: tuple[ArrayLike, ArrayLike] | None = None, T_tracker_bone: ArrayLike | None = None,
-             cancelled: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None,
+def register(points: ArrayLike,
+             field: Field,
+             config: Config = Config(),
+             *,
+             landmarks: tuple[ArrayLike, ArrayLike] | None = None,
+             T_tracker_bone: ArrayLike | None = None,
+             cancelled: Callable[[], bool] | None = None,
+             progress: Callable[[float], None] | None = None,
              history: bool = False) -> RegistrationResult:
     """
     Find the bone under the points.
@@ -38,7 +43,8 @@ def register(points: ArrayLike, field: Field, config: Config = Config(), *,
     field : Field
         Of the bone.
     config : Config
-    landmarks : (model (k, 3) in the bone frame, touched (k, 3) in the tracker frame), metres, optional
+    landmarks : (model (k, 3) in the bone frame, touched (k, 3) in the tracker frame), metres,
+        optional
         For a first guess.
     T_tracker_bone : (4, 4) float, metres, optional
         The first guess itself.
@@ -62,9 +68,11 @@ def register(points: ArrayLike, field: Field, config: Config = Config(), *,
         guess = first_guess(landmarks, T_tracker_bone)
         # Points on strokes, each once; the rest is strewn interference or a reading repeated
         dense = on_strokes(points, config.search.radius) & first_of_each(points)
-        # Round the guess, if there is one; anywhere, if there is none or what it led to does not convince
+        # Round the guess, if there is one; anywhere, if there is none or what it led to does not
+        # convince
         for start in (None,) if guess is None else (guess, None):
-            known, refusal = _attempt(points, dense, start, field, config, cancelled, progress, history)
+            known, refusal = _attempt(points, dense, start, field, config, cancelled, progress,
+                                      history)
             if refusal is None:
                 break
     except Refusal as bad:
@@ -73,23 +81,38 @@ def register(points: ArrayLike, field: Field, config: Config = Config(), *,
     known['timing_s']['total'] = perf_counter() - started
     if refusal is None:
         return RegistrationResult(Reason.CONVERGED, summary(known), **known)
-    return RegistrationResult.refused(refusal.reason, refusal.message,
-                                      **{key: known[key] for key in known.keys() - {'T_tracker_bone', 'covariance'}})
+    return RegistrationResult.refused(
+        refusal.reason, refusal.message,
+        **{key: known[key]
+           for key in known.keys() - {'T_tracker_bone', 'covariance'}})
 
 
-def _attempt(points: Array, dense: NDArray[np.bool_], guess: Array | None, field: Field, config: Config,
-             cancelled: Callable[[], bool] | None, progress: Callable[[float], None] | None, history: bool,
-             ) -> tuple[dict[str, Any], Refusal | None]:
-    """Return what is known of the best pose round a guess (None: anywhere), and why it must not be used."""
+def _attempt(
+    points: Array,
+    dense: NDArray[np.bool_],
+    guess: Array | None,
+    field: Field,
+    config: Config,
+    cancelled: Callable[[], bool] | None,
+    progress: Callable[[float], None] | None,
+    history: bool,
+) -> tuple[dict[str, Any], Refusal | None]:
+    """
+    Return what is known of the best pose round a guess (None.
+
+    Anywhere), and why it must not be used.
+    """
     used = points[dense]
     started = perf_counter()
     # Where the bone may be
-    basins = find_basins(used, field, config.search, guess, cancelled, progress)[:config.search.solutions]
+    basins = find_basins(used, field, config.search, guess, cancelled,
+                         progress)[:config.search.solutions]
     found = perf_counter()
     # The best of the local solutions, and the next-best elsewhere
     starts = basins if guess is None else [guess, *basins]
     near = nearest_neighbours(used, config.solver.neighbours)
-    choice = choose([solve(used, field, T, config.solver, history, near) for T in starts], used, field, config.solver)
+    choice = choose([solve(used, field, T, config.solver, history, near) for T in starts], used,
+                    field, config.solver)
     # How good is it, and is that good enough?
     confidence = assess(choice.solution, used, near)
     known = describe(choice, confidence, dense, field, config)
@@ -101,31 +124,43 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     """
     Raise a Refusal that says what is wrong with the points (n, 3), m, if anything is.
 
-    Their size is taken robustly, between the 5th and 95th percentile, for interference may lie anywhere.
+    Their size is taken robustly, between the 5th and 95th percentile, for interference may lie
+    anywhere.
     """
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'points must be an (n, 3) array, not of shape {points.shape}')
-    bad = int((~(np.abs(points) < 1e6).all(axis=1)).sum())     # NaN, infinite, or a tracker's word for missing
+    # NaN, infinite, or a tracker's word for missing
+    bad = int((~(np.abs(points) < 1e6).all(axis=1)).sum())
     if bad:
-        raise InputError(f'{bad} of {len(points)} points are not finite; drop them before registering')
+        raise InputError(
+            f'{bad} of {len(points)} points are not finite; drop them before registering')
     if len(points) < limits.min_points:
-        raise Refusal(Reason.TOO_FEW_POINTS, f'{len(points)} points are too few, {limits.min_points} are needed; '
-                      'go on dragging the probe over the bone')
+        raise Refusal(
+            Reason.TOO_FEW_POINTS,
+            f'{len(points)} points are too few, {limits.min_points} are needed; '
+            'go on dragging the probe over the bone')
     extent = float(np.ptp(np.percentile(points, [5.0, 95.0], axis=0), axis=0).max())
-    # a thousand times too large or too small, on a bone that may be exposed from one end to the other
+    # a thousand times too large or too small, on a bone that may be exposed from one end to the
+    # other
     if not 0.002 * field.extent < extent < 20.0 * field.extent and extent > 0.0:
-        raise Refusal(Reason.WRONG_UNIT, f'the points span {length(extent)} and the bone {length(field.extent)}: '
-                      'check the unit of the points (m or mm), and that the tip was moved')
+        raise Refusal(
+            Reason.WRONG_UNIT,
+            f'the points span {length(extent)} and the bone {length(field.extent)}: '
+            'check the unit of the points (m or mm), and that the tip was moved')
     if extent < limits.min_extent:
-        raise Refusal(Reason.REGION_TOO_SMALL, f'the points span only {length(extent)}, {length(limits.min_extent)} are '
-                      'needed; drag the probe over more of the bone')
+        raise Refusal(
+            Reason.REGION_TOO_SMALL,
+            f'the points span only {length(extent)}, {length(limits.min_extent)} are '
+            'needed; drag the probe over more of the bone')
 
 
-def first_guess(landmarks: tuple[ArrayLike, ArrayLike] | None, T_tracker_bone: ArrayLike | None) -> Array | None:
+def first_guess(landmarks: tuple[ArrayLike, ArrayLike] | None,
+                T_tracker_bone: ArrayLike | None) -> Array | None:
     """Return the T_bone_tracker to look around, None if there is none, or raise InputError if it is no pose."""
     if T_tracker_bone is not None:
         T_tracker_bone = as_numbers(T_tracker_bone, 'the initial pose')
         if not rigid.is_rigid(T_tracker_bone):
-            raise InputError('the initial pose is not a 4x4 rigid motion (rotation, translation in metres)')
+            raise InputError(
+                'the initial pose is not a 4x4 rigid motion (rotation, translation in metres)')
         return rigid.inverse(T_tracker_bone)
     return None if landmarks is None else rigid.inverse(pose_from_landmarks(*landmarks)[0])

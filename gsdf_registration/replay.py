@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording through the same session as the node's, without ROS or waiting: the same bits every time."""
+"""
+A recording through the same session as the node's, without ROS or waiting.
+
+The same bits every time.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,8 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
     Parameters
     ----------
     recording : Recording
-        With stamps.  Where it numbers strokes, each change of the number ends one and starts the next.
+        With stamps.  Where it numbers strokes, each change of the number ends one and starts the
+        next.
     field : Field
     config : Config, optional
     landmarks : ((k, 3), (k, 3)) float, optional
@@ -43,7 +48,8 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
 
     """
     if recording.stamps is None:
-        raise InputError('the recording has no stamps, so it cannot be replayed; register its points instead')
+        raise InputError(
+            'the recording has no stamps, so it cannot be replayed; register its points instead')
     session = Session(config or Config(), field)
     session.collect(True)
     session.count_dropped(recording.dropped)

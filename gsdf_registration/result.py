@@ -37,8 +37,8 @@ class Refusal(Exception):
     """
     A plain sentence instead of an answer: what is wrong, where, and what to do.
 
-    Raised at the door of every function that cannot give a true answer; the node and the command line turn it into their own
-    form of "no".
+    Raised at the door of every function that cannot give a true answer; the node and the command
+    line turn it into their own form of "no".
     """
 
     def __init__(self, reason: Reason, message: str) -> None:
@@ -89,8 +89,9 @@ class RegistrationResult:
     """
     The outcome of `register`.
 
-    ``T_tracker_bone`` is None unless `success`.  Lengths in metres, angles in radians; covariance in REP-103 order
-    (x y z rx ry rz) of the bone's pose, fixed axes of the tracker frame, rotation about the bone's origin.
+    ``T_tracker_bone`` is None unless `success`.  Lengths in metres, angles in radians; covariance
+    in REP-103 order (x y z rx ry rz) of the bone's pose, fixed axes of the tracker frame, rotation
+    about the bone's origin.
     """
 
     reason: Reason
@@ -100,8 +101,10 @@ class RegistrationResult:
     received: int = 0                           # points given
     used: int = 0                               # points given to the solver
     inliers: int = 0                            # points that bear the pose
-    sigma_m: float | None = None                # estimated noise of a point along the surface normal
-    residual_rms_m: float | None = None         # of the inliers; not the accuracy (Fitzpatrick 2009)
+    # estimated noise of a point along the surface normal
+    sigma_m: float | None = None
+    # of the inliers; not the accuracy (Fitzpatrick 2009)
+    residual_rms_m: float | None = None
     predicted_tre_m: dict[str, float] = field(default_factory=dict)     # targets, rms, max
     weakest_direction: WeakestDirection | None = None
     runner_up_ratio: float | None = None        # cost of the next-best basin over ours

@@ -2,8 +2,9 @@
 """
 Rigid motions as 4x4 matrices.
 
-``T_a_b`` maps coordinates in frame b to coordinates in frame a, ``x_a = T_a_b @ x_b``, so a chain reads
-``T_a_c = T_a_b @ T_b_c``.  A twist is ``[rx, ry, rz, tx, ty, tz]``: radians, then the unit of length in use.
+``T_a_b`` maps coordinates in frame b to coordinates in frame a, ``x_a = T_a_b @ x_b``, so a chain
+reads ``T_a_c = T_a_b @ T_b_c``.  A twist is ``[rx, ry, rz, tx, ty, tz]``: radians, then the unit of
+length in use.
 """
 
 from __future__ import annotations
@@ -176,8 +177,8 @@ def fit_points(a: ArrayLike, b: ArrayLike) -> Array:
     """
     Return the rigid ``T_a_b`` that best maps points ``b`` onto ``a`` in the least-squares sense.
 
-    Kabsch/Umeyama (Umeyama 1991, eq. 40-42) with scale fixed to one and reflections excluded, so a mirrored set gives
-    its best proper rotation.
+    Kabsch/Umeyama (Umeyama 1991, eq. 40-42) with scale fixed to one and reflections excluded, so a
+    mirrored set gives its best proper rotation.
 
     Parameters
     ----------
@@ -196,7 +197,8 @@ def fit_points(a: ArrayLike, b: ArrayLike) -> Array:
     a = np.asarray(a, dtype=np.float64)
     b = np.asarray(b, dtype=np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3 or len(a) < 3:
-        raise ValueError(f'need two (n, 3) arrays of one shape, n >= 3; got {a.shape} and {b.shape}')
+        raise ValueError(
+            f'need two (n, 3) arrays of one shape, n >= 3; got {a.shape} and {b.shape}')
     a0, b0 = a.mean(axis=0), b.mean(axis=0)
     U, _, Vt = np.linalg.svd((a - a0).T @ (b - b0))
     D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
@@ -218,7 +220,8 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
 
     """
     R = np.asarray(R, dtype=np.float64)
-    # Shepperd's method as one symmetric matrix: its rows are 4 q_i q; take the longest, which never cancels.
+    # Shepperd's method as one symmetric matrix: its rows are 4 q_i q; take the longest, which never
+    # cancels.
     d = np.diag(R)
     t = d.sum()
     s = R + R.T

@@ -2,8 +2,9 @@
 """
 The pose with no first guess, and the other poses that fit nearly as well.
 
-Many starts, each pulled in by a few Gauss-Newton steps of ever narrower robust weights, on few points and the coarse field at first; only
-the best go on to more points and the fine field.  Rotations from the super-Fibonacci spiral (Alexa, CVPR 2022), places spread over the surface.
+Many starts, each pulled in by a few Gauss-Newton steps of ever narrower robust weights, on few
+points and the coarse field at first; only the best go on to more points and the fine field.
+Rotations from the super-Fibonacci spiral (Alexa, CVPR 2022), places spread over the surface.
 """
 
 from __future__ import annotations
@@ -45,8 +46,12 @@ STAGES = (Stage(150, (0.3, 0.25, 0.2, 0.15, 0.15, 0.15), False, 60),
           Stage(300, (0.15, 0.15, 0.1, 0.1, 0.075, 0.075), False, 20))
 
 
-def find_basins(points: Array, field: Field, config: SearchConfig, T_bone_tracker: Array | None = None,
-                cancelled: Callable[[], bool] | None = None, progress: Callable[[float], None] | None = None) -> Array:
+def find_basins(points: Array,
+                field: Field,
+                config: SearchConfig,
+                T_bone_tracker: Array | None = None,
+                cancelled: Callable[[], bool] | None = None,
+                progress: Callable[[float], None] | None = None) -> Array:
     """
     Return the distinct poses that fit, best first.
 
@@ -85,7 +90,11 @@ def find_basins(points: Array, field: Field, config: SearchConfig, T_bone_tracke
 
 
 def _first_sieve(sieve: _Sieve, points: Array, R: Array, t: Array) -> tuple[Array, Array]:
-    """Sieve the starts by all points and by each part of them alone: strokes on something else must not carry the rest away."""
+    """
+    Sieve the starts by all points and by each part of them alone.
+
+    Strokes on something else must not carry the rest away.
+    """
     found = []
     for part in [points, *parts(points, sieve.config.parts)]:
         middle = part.mean(axis=0)
@@ -95,16 +104,24 @@ def _first_sieve(sieve: _Sieve, points: Array, R: Array, t: Array) -> tuple[Arra
 
 
 def parts(points: Array, count: int) -> list[Array]:
-    """Return ``count`` overlapping parts of the points, each a ball that holds two fifths of them."""
-    return [points[np.argsort(((points - points[seed]) ** 2).sum(axis=1), kind='stable')[:max(2 * len(points) // 5, 20)]]
-            for seed in spread_sample(points, count)]
+    """
+    Return ``count`` overlapping parts of the points, each a ball that holds two fifths of them.
+    """
+    return [
+        points[np.argsort(((points - points[seed])**2).sum(axis=1),
+                          kind='stable')[:max(2 * len(points) // 5, 20)]]
+        for seed in spread_sample(points, count)
+    ]
 
 
 class _Sieve:
-    """Refines candidates on all cores; each for itself, so that the threads cannot change the answer."""
+    """
+    Refines candidates on all cores; each for itself, so that the threads cannot change the answer.
+    """
 
-    def __init__(self, pool: ThreadPoolExecutor, field: Field, config: SearchConfig, cancelled: Callable[[], bool] | None,
-                 progress: Callable[[float], None] | None, stages: int) -> None:
+    def __init__(self, pool: ThreadPoolExecutor, field: Field, config: SearchConfig,
+                 cancelled: Callable[[], bool] | None, progress: Callable[[float], None] | None,
+                 stages: int) -> None:
         self.pool, self.field, self.config = pool, field, config
         self.cancelled, self.progress, self.stages, self.done = cancelled, progress, stages, 0
 
@@ -113,13 +130,17 @@ class _Sieve:
         R, t, cost = R.copy(), t.copy(), np.full(len(R), np.inf)
         points = points[spread_sample(points, stage.points)]
         scales = self.config.reach * np.array(stage.scales)
-        work = [self.pool.submit(_refine, self.field.arrays, stage.coarse, points, R[k:k + CHUNK], t[k:k + CHUNK], scales,
-                                 cost[k:k + CHUNK]) for k in range(0, len(R), CHUNK)]
+        work = [
+            self.pool.submit(_refine, self.field.arrays, stage.coarse, points, R[k:k + CHUNK],
+                             t[k:k + CHUNK], scales, cost[k:k + CHUNK])
+            for k in range(0, len(R), CHUNK)
+        ]
         for task in work:
             task.result()
             if self.cancelled is not None and self.cancelled():
                 self.pool.shutdown(cancel_futures=True)
-                raise Refusal(Reason.NOT_CONVERGED, 'the registration was cancelled; the points are kept')
+                raise Refusal(Reason.NOT_CONVERGED,
+                              'the registration was cancelled; the points are kept')
         self.done += 1
         if self.progress is not None:
             self.progress(self.done / self.stages)
@@ -129,7 +150,11 @@ class _Sieve:
 
 
 def everywhere(field: Field, config: SearchConfig) -> tuple[Array, Array]:
-    """Return starts (m, 3, 3) and (m, 3): every rotation at every place, the points' centroid put on the surface."""
+    """
+    Return starts (m, 3, 3) and (m, 3).
+
+    Every rotation at every place, the points' centroid put on the surface.
+    """
     surface = field.surface_points.astype(np.float64)
     places = surface[spread_sample(surface, config.places)]
     rotations = super_fibonacci(config.rotations)
@@ -137,10 +162,17 @@ def everywhere(field: Field, config: SearchConfig) -> tuple[Array, Array]:
 
 
 def around(T_bone_tracker: Array, centre: Array) -> tuple[Array, Array]:
-    """Return starts turned about the centroid by up to some 30 degrees from a first guess; the guess comes first."""
-    axes = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
+    """
+    Return starts turned about the centroid by up to some 30 degrees from a first guess.
+
+    The guess comes first.
+    """
+    axes = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)],
+                    dtype=np.float64)
     axes = axes[np.abs(axes).sum(axis=1) > 0]
-    turns = [np.zeros(3)] + [math.radians(angle) * a / np.linalg.norm(a) for angle in (10.0, 20.0, 30.0) for a in axes]
+    turns = [np.zeros(3)] + [
+        math.radians(angle) * a / np.linalg.norm(a) for angle in (10.0, 20.0, 30.0) for a in axes
+    ]
     R = np.array([rigid.rotation_exp(turn) @ T_bone_tracker[:3, :3] for turn in turns])
     return R, np.tile(rigid.transform(T_bone_tracker, centre), (len(R), 1))
 
@@ -151,15 +183,18 @@ def super_fibonacci(count: int) -> Array:
     s = np.arange(count) + 0.5
     r, q = np.sqrt(s / count), np.sqrt(1.0 - s / count)
     alpha, beta = 2.0 * np.pi * s / phi, 2.0 * np.pi * s / psi
-    quaternions = np.stack([r * np.sin(alpha), r * np.cos(alpha), q * np.sin(beta), q * np.cos(beta)], axis=1)
+    quaternions = np.stack(
+        [r * np.sin(alpha), r * np.cos(alpha), q * np.sin(beta), q * np.cos(beta)], axis=1)
     return np.array([rigid.rotation_from_quaternion(x) for x in quaternions])
 
 
 def distinct(R: Array, t: Array, points: Array, separation: float, count: int) -> NDArray[np.int64]:
     """Return the first ``count`` poses that move the points (n, 3) apart by ``separation`` (RMS) or more, in order."""
-    # the RMS distance between two poses over the points is a norm of [R, t]: embed them, then compare
+    # the RMS distance between two poses over the points is a norm of [R, t]: embed them, then
+    # compare
     _, spread, axes = np.linalg.svd(points, full_matrices=False)
-    embedded = np.concatenate([(R @ (axes.T * spread / math.sqrt(len(points)))).reshape(len(R), -1), t], axis=1)
+    embedded = np.concatenate(
+        [(R @ (axes.T * spread / math.sqrt(len(points)))).reshape(len(R), -1), t], axis=1)
     return _distinct(embedded, separation**2, count)
 
 
@@ -188,9 +223,11 @@ def _distinct(x, separation2, count):
 @kernel
 def _refine(field, coarse, points, R, t, scales, cost):
     """
-    Pull in each candidate by one Gauss-Newton step a scale; ``cost``: its mean e^2 / (e^2 + c^2) then.
+    Pull in each candidate by one Gauss-Newton step a scale; ``cost``: its mean e^2 / (e^2 + c^2)
+    then.
 
-    That cost (Geman and McClure) levels off at one: a point far away counts once, not by its distance.
+    That cost (Geman and McClure) levels off at one: a point far away counts once, not by its
+    distance.
     """
     A = np.zeros((6, 6))
     b = np.zeros(6)

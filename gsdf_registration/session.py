@@ -2,8 +2,8 @@
 """
 What an operator does: touch landmarks, collect strokes, undo, register, verify.
 
-The node and the offline replay drive this very class.  It knows nothing of ROS or files and may be called
-from any thread: points go in while a registration runs.
+The node and the offline replay drive this very class.  It knows nothing of ROS or files and may be
+called from any thread: points go in while a registration runs.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class Session:
         self._pose_points: Points | None = None
         self._pose_frame = ''
         self._fresh = False     # whether the last registration is the latest thing that happened
-        self._era = 0           # changes with the model and when all is cleared: older solves are void
+        # changes with the model and when all is cleared: older solves are void
+        self._era = 0
 
     def add_point(self, stamp: float, position: Sequence[float], frame_id: str, source: str = '',
                   arrival: float | None = None, quality: float | None = None) -> Rejection | None:
@@ -91,8 +92,9 @@ class Session:
             if dropped == 0:
                 return Answer(False, 'there is no stroke to undo')
             self._fresh = False
-            return Answer(True, f'dropped the last stroke, {counted(dropped, "point")}; {self._held()}'
-                          + self._pose_stands())
+            return Answer(
+                True, f'dropped the last stroke, {counted(dropped, "point")}; {self._held()}'
+                + self._pose_stands())
 
     def clear(self) -> Answer:
         """Drop all points, landmarks and verification points; the last good pose stands."""
@@ -101,7 +103,8 @@ class Session:
             self._touches = Touches(self._config.landmarks)
             self._result, self._fresh = None, False
             self._era += 1
-            return Answer(True, 'dropped all points, landmarks and verification points' + self._pose_stands())
+            return Answer(
+                True, 'dropped all points, landmarks and verification points' + self._pose_stands())
 
     def capture_landmark(self, now: float | None = None) -> Answer:
         """
@@ -110,7 +113,8 @@ class Session:
         Parameters
         ----------
         now : float, optional
-            Time on the clock of the arrivals given to `add_point`, s; a probe not seen of late is left out.
+            Time on the clock of the arrivals given to `add_point`, s; a probe not seen of late is
+            left out.
 
         """
         with self._lock:
@@ -145,16 +149,22 @@ class Session:
                     Reason.BAD_INPUT, 'a registration is running already; wait for its answer')
             field, config, era = self._field, self._config, self._era
             if field is None:
-                return RegistrationResult.refused(Reason.NO_MODEL, 'no bone model is loaded; set model.path')
+                return RegistrationResult.refused(Reason.NO_MODEL,
+                                                  'no bone model is loaded; set model.path')
             points, received = self._collection.arrays(), self._collection.received
             frame_id = self._collection.frame_id or ''
             if landmarks is None:
                 landmarks = self._touches.pairs
             self._solving = True
         try:
-            result = register(
-                points.positions, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone, progress=progress,
-                cancelled=lambda: self._era != era or (cancelled is not None and cancelled()))
+            result = register(points.positions,
+                              field,
+                              config,
+                              landmarks=landmarks,
+                              T_tracker_bone=T_tracker_bone,
+                              progress=progress,
+                              cancelled=lambda: self._era != era or
+                              (cancelled is not None and cancelled()))
         except BaseException:
             self._solving = False
             raise
@@ -170,14 +180,18 @@ class Session:
             return result
 
     def verify(self, now: float | None = None) -> Answer:
-        """Measure the distance of the resting tip to the registered surface; never used in the fit."""
+        """
+        Measure the distance of the resting tip to the registered surface; never used in the fit.
+        """
         with self._lock:
             if self._pose_result is None or self._field is None:
                 return Answer(False, 'there is no registration to verify; register first')
             if self._collection.frame_id not in (None, self._pose_frame):
-                return Answer(False, f'the tip is in frame "{self._collection.frame_id}", but the bone was '
-                              f'registered in "{self._pose_frame}"; register again')
-            return self._touches.verify(self._field, self._pose_result, self._config.limits.verification, now)
+                return Answer(
+                    False, f'the tip is in frame "{self._collection.frame_id}", but the bone was '
+                    f'registered in "{self._pose_frame}"; register again')
+            return self._touches.verify(self._field, self._pose_result,
+                                        self._config.limits.verification, now)
 
     def set_model(self, field: Field) -> None:
         """Take another bone; the points stay, a pose of another bone does not."""
@@ -195,14 +209,16 @@ class Session:
         Raises
         ------
         InputError
-            When ``probe.frame_id`` changes though points or landmarks are held; nothing is changed then.
+            When ``probe.frame_id`` changes though points or landmarks are held; nothing is changed
+            then.
 
         """
         with self._lock:
             wanted = config.probe.frame_id
             if wanted != self._config.probe.frame_id:
                 if len(self._collection) or self._touches.landmarks:
-                    raise InputError('points or landmarks are held; clear before changing probe.frame_id')
+                    raise InputError(
+                        'points or landmarks are held; clear before changing probe.frame_id')
                 self._collection.want_frame(wanted)
             self._collection.gate = config.gate
             self._collection.max_points = config.collect.max_points
@@ -228,15 +244,20 @@ class Session:
         """Return the session at a glance."""
         with self._lock:
             collection, state = self._collection, self._state()
-            return Status(
-                state=state,
-                message=sentence(state, collection, self._result, self._held() + self._pose_stands(),
-                                 self._touches.to_come),
-                received=collection.received, kept=len(collection), rejected=dict(collection.counts),
-                strokes=collection.strokes, landmarks=len(self._touches.landmarks),
-                frame_id=collection.frame_id,
-                reason=None if self._result is None else self._result.reason,
-                result=self._result, pose_result=self._pose_result, pose_frame_id=self._pose_frame)
+            return Status(state=state,
+                          message=sentence(state, collection, self._result,
+                                           self._held() + self._pose_stands(),
+                                           self._touches.to_come),
+                          received=collection.received,
+                          kept=len(collection),
+                          rejected=dict(collection.counts),
+                          strokes=collection.strokes,
+                          landmarks=len(self._touches.landmarks),
+                          frame_id=collection.frame_id,
+                          reason=None if self._result is None else self._result.reason,
+                          result=self._result,
+                          pose_result=self._pose_result,
+                          pose_frame_id=self._pose_frame)
 
     def _state(self) -> str:
         if self._field is None:
@@ -266,13 +287,15 @@ class Session:
         """
         with self._lock:
             if self._field is None:
-                raise InputError('there is no bone model, so there is no session to save; set model.path')
+                raise InputError(
+                    'there is no bone model, so there is no session to save; set model.path')
             field, config = self._field, self._config
-            record = SessionRecord(
-                self._collection.frame_id, list(self._source_of), self._collection.arrays(),
-                dict(self._collection.counts), list(self._touches.landmarks),
-                list(self._touches.verifications), self._result, self._pose_result, self._pose_frame)
-        return record.to_dict(field, config)    # outside the lock: it takes a while with many points
+            record = SessionRecord(self._collection.frame_id, list(self._source_of),
+                                   self._collection.arrays(), dict(self._collection.counts),
+                                   list(self._touches.landmarks), list(self._touches.verifications),
+                                   self._result, self._pose_result, self._pose_frame)
+        # outside the lock: it takes a while with many points
+        return record.to_dict(field, config)
 
     def restore(self, record: Mapping[str, Any]) -> None:
         """
@@ -288,7 +311,8 @@ class Session:
             if self._field is None:
                 raise InputError('load the bone model before the session; set model.path')
             if self._solving:
-                raise InputError('a registration is running; wait for its answer before loading a session')
+                raise InputError(
+                    'a registration is running; wait for its answer before loading a session')
             saved = SessionRecord.from_dict(record, self._field)
             self._collection.refill(saved.points, saved.frame_id, saved.rejected)
             self._touches = Touches(self._config.landmarks)

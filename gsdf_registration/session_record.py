@@ -39,7 +39,9 @@ class SessionRecord:
 
     def to_dict(self, field: Field, config: Config) -> dict[str, Any]:
         """Return the record with the model it belongs to, the settings and the version, ready for JSON."""
-        head = {'version': __version__, 'model_sha256': field.bone_sha256, 'parameters': config.flat()}
+        head = {
+            'version': __version__, 'model_sha256': field.bone_sha256, 'parameters': config.flat()
+        }
         return head | {key: plain(value) for key, value in vars(self).items()}
 
     @classmethod
@@ -54,7 +56,8 @@ class SessionRecord:
 
         """
         if record.get('model_sha256') != field.bone_sha256:
-            raise InputError('the session belongs to another bone model; load the model it was made with')
+            raise InputError(
+                'the session belongs to another bone model; load the model it was made with')
         try:
             return cls(
                 frame_id=None if record['frame_id'] is None else str(record['frame_id']),
@@ -74,7 +77,9 @@ class SessionRecord:
 
 
 def plain(value: Any) -> Any:
-    """Return dataclasses, arrays and enums as dicts, lists and numbers; non-finite numbers as None."""
+    """
+    Return dataclasses, arrays and enums as dicts, lists and numbers; non-finite numbers as None.
+    """
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, Points):

@@ -53,7 +53,8 @@ def sentence(state: str, collection: Collection, result: RegistrationResult | No
         return f'registering; {held}'
     if result is not None and state in ('registered', 'refused'):
         return '; '.join(part for part in (result.message, trouble(collection)) if part)
-    parts = [('collecting' if state == 'collecting' else 'not collecting') + f'; {held}', trouble(collection)]
+    parts = [('collecting' if state == 'collecting' else 'not collecting') + f'; {held}',
+             trouble(collection)]
     if landmarks_to_come:
         parts.append(f'next landmark is "{landmarks_to_come[0]}"')
     return '; '.join(part for part in parts if part)

@@ -13,7 +13,8 @@ from gsdf_registration.config import LandmarksConfig
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
 
-MOST_SAMPLES = 20_000   # remembered of a source: 2 s at 10 kHz; bounds the memory whatever the stamps say
+# remembered of a source: 2 s at 10 kHz; bounds the memory whatever the stamps say
+MOST_SAMPLES = 20_000
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,14 @@ class RestingTip:
     """
     Remembers the last moments of every source, and tells which tip rests and where.
 
-    Several probes may be in view, one of them lying on a table: of all that rest, the one that came to rest
-    last is meant.
+    Several probes may be in view, one of them lying on a table: of all that rest, the one that came
+    to rest last is meant.
     """
 
     def __init__(self, config: LandmarksConfig) -> None:
-        """Remember ``config.dwell`` seconds; samples within ``config.radius`` of their mean rest."""
+        """
+        Remember ``config.dwell`` seconds; samples within ``config.radius`` of their mean rest.
+        """
         self.config = config
         self._sources: dict[int, _Trail] = {}
 
@@ -55,7 +58,8 @@ class RestingTip:
         Parameters
         ----------
         now : float, optional
-            Time on the clock of the arrivals, s; a source silent for more than ``dwell`` is then left out.
+            Time on the clock of the arrivals, s; a source silent for more than ``dwell`` is then
+            left out.
 
         Raises
         ------
@@ -67,17 +71,20 @@ class RestingTip:
         trails = [trail for trail in self._sources.values()
                   if now is None or trail.arrival is None or now - trail.arrival <= dwell]
         if not trails:
-            raise InputError('no probe tip is seen; bring the probe into view of the tracker, hold it still')
+            raise InputError(
+                'no probe tip is seen; bring the probe into view of the tracker, hold it still')
         long_enough = [trail for trail in trails if trail.lasts(dwell)]
         if not long_enough:
-            raise InputError(f'the tip has not been seen for {dwell:g} s without a break; hold it still '
-                             'in view and try again')
+            raise InputError(
+                f'the tip has not been seen for {dwell:g} s without a break; hold it still '
+                'in view and try again')
         rests = [(trail.rested, trail.mean(dwell)) for trail in long_enough]
         resting = [(rested, rest) for rested, rest in rests if rest.spread_max <= radius]
         if not resting:
             nearest = min((rest for _, rest in rests), key=lambda rest: rest.spread_max)
-            raise InputError(f'the tip moves: {1e3 * nearest.spread_max:.1f} mm within the last {dwell:g} s,'
-                             f' {1e3 * radius:.1f} mm allowed; hold it still and try again')
+            raise InputError(
+                f'the tip moves: {1e3 * nearest.spread_max:.1f} mm within the last {dwell:g} s,'
+                f' {1e3 * radius:.1f} mm allowed; hold it still and try again')
         return min(resting, key=lambda pair: pair[0])[1]
 
 
@@ -112,8 +119,9 @@ class _Trail:
 
     def mean(self, dwell: float) -> Rest:
         last = self.samples[-1][0]
-        positions = np.array([position for stamp, position in self.samples if stamp >= last - dwell])
+        positions = np.array(
+            [position for stamp, position in self.samples if stamp >= last - dwell])
         mean = positions.mean(axis=0)
         distances = np.linalg.norm(positions - mean, axis=1)
-        return Rest(mean, float(np.sqrt(np.mean(distances**2))), float(distances.max()), len(positions),
-                    last)
+        return Rest(mean, float(np.sqrt(np.mean(distances**2))), float(distances.max()),
+                    len(positions), last)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is touched on purpose, the tip at rest: landmarks before, verification points after registration."""
+"""
+What is touched on purpose, the tip at rest.
+
+Landmarks before, verification points after registration.
+"""
 
 from __future__ import annotations
 
@@ -71,10 +75,12 @@ class Touches:
     def capture(self, now: float | None) -> Answer:
         """Take the resting tip as the next landmark, or say why not."""
         if not self.config.names:
-            return Answer(False, 'no landmarks are named; set landmarks.names and landmarks.positions')
+            return Answer(False,
+                          'no landmarks are named; set landmarks.names and landmarks.positions')
         if not self.to_come:
-            return Answer(False, f'all {len(self.config.names)} landmarks are captured; register, or clear '
-                          'to begin anew')
+            return Answer(
+                False, f'all {len(self.config.names)} landmarks are captured; register, or clear '
+                'to begin anew')
         name = self.to_come[0]
         try:
             rest = self.tip.rest(now)
@@ -85,13 +91,17 @@ class Touches:
                 return Answer(False, f'the tip is still at landmark "{other.name}"; touch "{name}"')
         row = 3 * len(self.landmarks)
         model = np.array(self.config.positions[row:row + 3])
-        self.landmarks.append(CapturedLandmark(name, model, rest.position, rest.spread_rms, rest.stamp))
+        self.landmarks.append(
+            CapturedLandmark(name, model, rest.position, rest.spread_rms, rest.stamp))
         todo = f'next is "{self.to_come[0]}"' if self.to_come else 'that was the last one'
         return Answer(True, f'landmark "{name}" captured from {rest.samples} samples, spread '
                       f'{1e3 * rest.spread_rms:.2f} mm RMS; {todo}')
 
-    def verify(self, field: Field, pose: RegistrationResult, limit: float, now: float | None) -> Answer:
-        """Measure the distance of the resting tip to the registered surface against ``limit``, m."""
+    def verify(self, field: Field, pose: RegistrationResult, limit: float,
+               now: float | None) -> Answer:
+        """
+        Measure the distance of the resting tip to the registered surface against ``limit``, m.
+        """
         try:
             rest = self.tip.rest(now)
         except InputError as refusal:
@@ -101,5 +111,6 @@ class Touches:
         self.verifications.append(Verification(rest.position, distance, rest.stamp))
         good = abs(distance) <= limit
         side, verdict = 'inside' if distance < 0.0 else 'outside', 'within' if good else 'beyond'
-        return Answer(good, f'the tip is {1e3 * abs(distance):.1f} mm {side} the registered surface, '
-                      f'{verdict} the {1e3 * limit:.1f} mm allowed')
+        return Answer(
+            good, f'the tip is {1e3 * abs(distance):.1f} mm {side} the registered surface, '
+            f'{verdict} the {1e3 * limit:.1f} mm allowed')

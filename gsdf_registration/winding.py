@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The generalized winding number of a mesh, with or without holes (Jacobson et al., SIGGRAPH 2013)."""
+"""
+The generalized winding number of a mesh, with or without holes (Jacobson et al., SIGGRAPH 2013).
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ def winding_numbers(vertices: Array, faces: np.ndarray, points: Array) -> Array:
     """
     Return how often the mesh goes round each point.
 
-    1 inside and 0 outside a closed mesh wound outward, in between near holes; on a face the mean of both
-    sides.
+    1 inside and 0 outside a closed mesh wound outward, in between near holes; on a face the mean of
+    both sides.
 
     Parameters
     ----------

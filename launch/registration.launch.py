@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start the registration node: ``ros2 launch gsdf_registration registration.launch.py model:=hip.stl``."""
+"""
+Start the registration node.
+
+``ros2 launch gsdf_registration registration.launch.py model:=hip.stl``.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +24,32 @@ def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     bag = LaunchConfiguration('bag').perform(context)
 
     # model:= wins over model.path in the settings file only when it is given
-    parameters = [config, {'model.path': ParameterValue(model, value_type=str)}] if model else [config]
+    parameters = [config, {'model.path': ParameterValue(model, value_type=str)}
+                  ] if model else [config]
     # the node brings itself to active (parameter autostart)
     node = Node(package='gsdf_registration', executable='registration_node', name='registration',
                 parameters=parameters, output='screen')
     # the node keeps no points before it is active, and its first start ever compiles for a while
     wait = 'until ros2 lifecycle get /registration 2>&1 | grep --quiet ^active; do sleep 1; done'
-    player = ExecuteProcess(cmd=[f'{wait}; exec ros2 bag play {quote(bag)}'], shell=True, output='screen')
+    player = ExecuteProcess(cmd=[f'{wait}; exec ros2 bag play {quote(bag)}'],
+                            shell=True,
+                            output='screen')
     return [node, player] if bag else [node]
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the arguments and what they start."""
-    settings = PathJoinSubstitution([FindPackageShare('gsdf_registration'), 'config', 'registration.yaml'])
+    settings = PathJoinSubstitution(
+        [FindPackageShare('gsdf_registration'), 'config', 'registration.yaml'])
     return LaunchDescription([
-        DeclareLaunchArgument('model', default_value='',
-                              description='bone model: path or package:// URI; empty: as in the settings'),
-        DeclareLaunchArgument('config', default_value=settings, description='settings, a ROS parameter file'),
-        DeclareLaunchArgument('bag', default_value='', description='recording to play; empty: none'),
+        DeclareLaunchArgument(
+            'model',
+            default_value='',
+            description='bone model: path or package:// URI; empty: as in the settings'),
+        DeclareLaunchArgument('config',
+                              default_value=settings,
+                              description='settings, a ROS parameter file'),
+        DeclareLaunchArgument('bag', default_value='',
+                              description='recording to play; empty: none'),
         OpaqueFunction(function=start),
     ])

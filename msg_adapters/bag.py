@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 POINT = 'geometry_msgs/msg/PointStamped'
 TIP_TOPIC = '/probe/tip'
-LANDMARK_TOPIC = '/probe/landmarks'     # the tip resting on landmarks: no points of the surface scan
+# the tip resting on landmarks: no points of the surface scan
+LANDMARK_TOPIC = '/probe/landmarks'
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 # where each message type that can be read keeps the position
@@ -51,15 +52,16 @@ def list_topics(path: str | os.PathLike[str]) -> list[Topic]:
 
 def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None) -> Recording:
     """
-    Read the positions in a rosbag2 recording (mcap or sqlite3 storage) in the order they were received.
+    Read the positions in a rosbag2 recording (mcap or sqlite3 storage) in the order they were
+    received.
 
     Parameters
     ----------
     path : path
         The bag's directory, or one of its storage files.
     topics : sequence of str, optional
-        PointStamped, PoseStamped or TransformStamped topics; by default /probe/tip, or else the only
-        PointStamped topic besides /probe/landmarks.
+        PointStamped, PoseStamped or TransformStamped topics; by default /probe/tip, or else the
+        only PointStamped topic besides /probe/landmarks.
 
     Returns
     -------
@@ -69,7 +71,8 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None) 
     Raises
     ------
     InputError
-        If the bag is missing, damaged or empty, or the topics are not there, not clear, or of another type.
+        If the bag is missing, damaged or empty, or the topics are not there, not clear, or of
+        another type.
 
     """
     bag = BagFiles(path)
@@ -89,17 +92,21 @@ def _chosen(path: Path, types: dict[str, str], wanted: Sequence[str] | None) -> 
     """Return the topics to be read, or raise `InputError` with what there is."""
     there = ', '.join(f'{name} ({msgtype})' for name, msgtype in types.items()) or 'no topics'
     if wanted is None:
-        points = [name for name, msgtype in types.items() if msgtype == POINT and name != LANDMARK_TOPIC]
+        points = [
+            name for name, msgtype in types.items() if msgtype == POINT and name != LANDMARK_TOPIC
+        ]
         names = [TIP_TOPIC] if TIP_TOPIC in points else points
         if len(names) != 1:
-            raise InputError(f'{path} has {len(names) or "no"} PointStamped topics that could be the tip: '
-                             f'choose one; it has {there}')
+            raise InputError(
+                f'{path} has {len(names) or "no"} PointStamped topics that could be the tip: '
+                f'choose one; it has {there}')
         return names
     names = list(dict.fromkeys(wanted))
     bad = [name for name in names if types.get(name) not in POSITION]
     if bad or not names:
-        raise InputError(f'{path} has no topic {", ".join(bad)} of type PointStamped, PoseStamped or '
-                         f'TransformStamped: it has {there}')
+        raise InputError(
+            f'{path} has no topic {", ".join(bad)} of type PointStamped, PoseStamped or '
+            f'TransformStamped: it has {there}')
     return names
 
 
@@ -112,7 +119,8 @@ def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np
         try:
             message: Any = TYPES.deserialize_cdr(raw.data, raw.msgtype)
         except Exception:  # damaged bytes lead the decoder to any exception
-            raise InputError(f'{path} is damaged: message {i + 1} on {raw.topic} cannot be decoded') from None
+            raise InputError(
+                f'{path} is damaged: message {i + 1} on {raw.topic} cannot be decoded') from None
         position = POSITION[raw.msgtype](message)
         times[i] = stamps.to_seconds(message.header.stamp.sec, message.header.stamp.nanosec)
         positions[i] = position.x, position.y, position.z
@@ -124,8 +132,8 @@ class BagWriter:
     """
     Write positions as PointStamped into a new rosbag2 directory (mcap).
 
-    A context manager; the same calls give the same bytes, and if the block is left by an exception no bag is
-    left behind.
+    A context manager; the same calls give the same bytes, and if the block is left by an exception
+    no bag is left behind.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -153,7 +161,11 @@ class BagWriter:
             self._writer.abort()
             shutil.rmtree(self.path)
 
-    def write_point(self, topic: str, stamp: float, position: Sequence[float] | np.ndarray, frame_id: str,
+    def write_point(self,
+                    topic: str,
+                    stamp: float,
+                    position: Sequence[float] | np.ndarray,
+                    frame_id: str,
                     received: float | None = None) -> None:
         """
         Append one point.
@@ -184,5 +196,7 @@ def _point_message(nanoseconds: int, position: Sequence[float] | np.ndarray, fra
     """Return a PointStamped as rosbags knows it."""
     types = TYPES.types
     sec, nanosec = stamps.split(nanoseconds)
-    header = types['std_msgs/msg/Header'](types['builtin_interfaces/msg/Time'](sec, nanosec), frame_id)
-    return types[POINT](header, types['geometry_msgs/msg/Point'](*(float(value) for value in position)))
+    header = types['std_msgs/msg/Header'](types['builtin_interfaces/msg/Time'](sec, nanosec),
+                                          frame_id)
+    return types[POINT](header,
+                        types['geometry_msgs/msg/Point'](*(float(value) for value in position)))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The files of a rosbag2 recording: which there are, their topics, and their messages, still serialized.
+The files of a rosbag2 recording: which there are, their topics, and their messages, still
+serialized.
 
-A recorder that was killed leaves no metadata.yaml and an mcap without its index; such files are read from the
-start as far as they go, and a note says so.
+A recorder that was killed leaves no metadata.yaml and an mcap without its index; such files are
+read from the start as far as they go, and a note says so.
 """
 
 from __future__ import annotations
@@ -43,7 +44,9 @@ class Raw(NamedTuple):
 
 
 class BagFiles:
-    """The readable parts of a bag: a directory with its metadata, or storage files one after another."""
+    """
+    The readable parts of a bag: a directory with its metadata, or storage files one after another.
+    """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Find the parts of a bag (directory or storage file); `InputError` if there are none."""
@@ -53,7 +56,8 @@ class BagFiles:
             raise InputError(f'{path} does not exist')
         if self.path.is_file():
             if self.path.suffix not in STORAGES:
-                raise InputError(f'{path} is no bag: give a rosbag2 directory, or its .mcap or .db3 file')
+                raise InputError(
+                    f'{path} is no bag: give a rosbag2 directory, or its .mcap or .db3 file')
             self.parts = [self.path]
         elif (self.path / 'metadata.yaml').is_file():
             self.parts = [self.path]
@@ -62,7 +66,8 @@ class BagFiles:
             self.parts = sorted((file for file in self.path.iterdir() if file.suffix in STORAGES),
                                 key=lambda file: (len(file.name), file.name))
             if not self.parts:
-                raise InputError(f'{path} is no bag: it has neither metadata.yaml nor a .mcap or .db3 file')
+                raise InputError(
+                    f'{path} is no bag: it has neither metadata.yaml nor a .mcap or .db3 file')
             self.notes.append(f'{path} has no metadata.yaml, as if its recorder was killed: '
                               'its storage files were read')
 
@@ -90,9 +95,11 @@ class BagFiles:
         """Return what can be read of an mcap that lacks its end, and note it."""
         found = _streamed(part)
         if not found:
-            raise InputError(f'{part} holds nothing readable: its recorder was killed or the copy cut short')
-        note = (f'{part} ends without its index, as if its recorder was killed or the copy was cut short: '
-                f'{len(found)} messages were read up to there')
+            raise InputError(
+                f'{part} holds nothing readable: its recorder was killed or the copy cut short')
+        note = (
+            f'{part} ends without its index, as if its recorder was killed or the copy was cut short: '
+            f'{len(found)} messages were read up to there')
         if note not in self.notes:
             self.notes.append(note)
         return found
@@ -118,7 +125,8 @@ def _indexed(part: Path, names: Collection[str]) -> list[Raw]:
     with Reader(part) as reader:
         wanted = [c for c in reader.connections if c.topic in names]
         # without connections rosbags would return all messages
-        return [Raw(c.topic, c.msgtype, data) for c, _, data in reader.messages(wanted)] if wanted else []
+        return [Raw(c.topic, c.msgtype, data)
+                for c, _, data in reader.messages(wanted)] if wanted else []
 
 
 def _lacks_end(part: Path) -> bool:

@@ -13,7 +13,9 @@ METRES = {'mm': 0.001, 'm': 1.0}
 
 
 def metres_per(unit: str) -> float:
-    """Return the length of one ``unit`` ('mm' or 'm') in metres; `InputError` for any other word."""
+    """
+    Return the length of one ``unit`` ('mm' or 'm') in metres; `InputError` for any other word.
+    """
     try:
         return METRES[unit]
     except (KeyError, TypeError):
@@ -33,12 +35,15 @@ def readable_file(path: str | os.PathLike[str]) -> Path:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a UTF-8 file (with or without a byte order mark), or raise `InputError`."""
+    """
+    Return the text of a UTF-8 file (with or without a byte order mark), or raise `InputError`.
+    """
     path = readable_file(path)
     try:
         return path.read_text(encoding='utf-8-sig')
     except UnicodeDecodeError:
-        raise InputError(f'{path} is not UTF-8 text: save it as plain text or CSV (UTF-8)') from None
+        raise InputError(
+            f'{path} is not UTF-8 text: save it as plain text or CSV (UTF-8)') from None
     except OSError as error:
         raise InputError(f'{path} cannot be read: {error.strerror}') from None
 
@@ -50,7 +55,8 @@ def words_of(error: Exception) -> str:
 
 def write_atomically(path: str | os.PathLike[str], text: str) -> None:
     """
-    Write a text file so that a reader, or a crash, sees the old file or the new one and never a part.
+    Write a text file so that a reader, or a crash, sees the old file or the new one and never a
+    part.
 
     Raises
     ------

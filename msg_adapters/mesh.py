@@ -2,8 +2,8 @@
 """
 Surfaces from STL, PLY, OBJ and OFF files through trimesh, as they stand in the file.
 
-trimesh reads some files that were cut short as if they were whole; so what the header, or the text, promises
-is counted against what came out.  Repairing is left to the bone.
+trimesh reads some files that were cut short as if they were whole; so what the header, or the text,
+promises is counted against what came out.  Repairing is left to the bone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,11 @@ from msg_adapters.files import words_of
 
 
 class Surface(NamedTuple):
-    """Content of a file in its own unit: vertices (n, 3), faces (m, 3) or None, normals (n, 3) or None."""
+    """
+    Content of a file in its own unit.
+
+    Vertices (n, 3), faces (m, 3) or None, normals (n, 3) or None.
+    """
 
     vertices: Array
     faces: NDArray[np.int32] | None
@@ -48,7 +52,10 @@ def load_surface(path: Path) -> Surface:
         raise InputError(f'{path} has no vertices: it is empty or damaged')
     vertices = np.concatenate([body.vertices for body in bodies]).astype(np.float64)
     starts = np.concatenate([[0], np.cumsum([len(body.vertices) for body in bodies])])
-    parts = [body.faces + start for body, start in zip(bodies, starts) if isinstance(body, trimesh.Trimesh)]
+    parts = [
+        body.faces + start for body, start in zip(bodies, starts)
+        if isinstance(body, trimesh.Trimesh)
+    ]
     faces = np.concatenate(parts).astype(np.int64) if parts else np.zeros((0, 3), np.int64)
     _CHECKS[kind](path, bodies, len(faces))
     if not len(faces):
@@ -66,9 +73,11 @@ def _bodies(path: Path) -> list[Any]:
             warnings.filterwarnings('error', message='string or file could not be read')
             scene = trimesh.load_scene(str(path), process=False, skip_materials=True)
     except Exception as error:  # a damaged file may lead the parsers to any exception
-        polygons = ', or has polygons that are not triangles' if path.suffix.lower() == '.ply' else ''
-        raise InputError(f'{path} is damaged, cut short{polygons}, or no {path.suffix[1:].upper()} file '
-                         f'({words_of(error)})') from None
+        polygons = ', or has polygons that are not triangles' if path.suffix.lower(
+        ) == '.ply' else ''
+        raise InputError(
+            f'{path} is damaged, cut short{polygons}, or no {path.suffix[1:].upper()} file '
+            f'({words_of(error)})') from None
     return [body for body in scene.dump()
             if isinstance(body, (trimesh.Trimesh, trimesh.PointCloud)) and len(body.vertices)]
 
@@ -82,7 +91,11 @@ def _normals(cloud: Any) -> Array | None:
 
 
 def _check_stl_length(path: Path) -> None:
-    """Raise `InputError` if an STL file is not as long as it says; trimesh would take it for an empty one."""
+    """
+    Raise `InputError` if an STL file is not as long as it says.
+
+    Trimesh would take it for an empty one.
+    """
     content = path.read_bytes()
     if _is_ascii_stl(content):
         if _count(rb'^\s*solid\b', content) > _count(rb'^\s*endsolid\b', content):
@@ -111,7 +124,8 @@ def _check_ply(path: Path, bodies: list[Any], faces: int) -> None:
             data = next(iter(data.values()), None)
         rows = 0 if data is None else len(data)
         # a last face cut to fewer than three corners is a record, but no triangle
-        _check_count(path, f'{name} records', element['length'], min(rows, faces) if name == 'face' else rows)
+        _check_count(path, f'{name} records', element['length'],
+                     min(rows, faces) if name == 'face' else rows)
 
 
 def _check_off(path: Path, _: list[Any], __: int) -> None:
@@ -124,11 +138,14 @@ def _check_off(path: Path, _: list[Any], __: int) -> None:
 
 
 def _check_obj(path: Path, _: list[Any], __: int) -> None:
-    """Look for a vertex or face with fewer than three numbers, as a file that was cut short ends."""
+    """
+    Look for a vertex or face with fewer than three numbers, as a file that was cut short ends.
+    """
     text = path.read_text('utf-8', 'replace')
     short = re.search(r'^[ \t]*[vf]([ \t]+\S+){0,2}[ \t]*$', text, re.MULTILINE)
     if short:
-        raise InputError(f'{path} is cut short or damaged: the line {short.group().strip()!r} is incomplete')
+        raise InputError(
+            f'{path} is cut short or damaged: the line {short.group().strip()!r} is incomplete')
 
 
 _CHECKS = {'.stl': _check_stl, '.ply': _check_ply, '.off': _check_off, '.obj': _check_obj}
@@ -137,7 +154,8 @@ _CHECKS = {'.stl': _check_stl, '.ply': _check_ply, '.off': _check_off, '.obj': _
 def _check_count(path: Path, what: str, announced: int, read: int) -> None:
     """Raise `InputError` if less was read than announced."""
     if read < announced:
-        raise InputError(f'{path} is cut short or damaged: it announces {announced} {what} and has {read}')
+        raise InputError(
+            f'{path} is cut short or damaged: it announces {announced} {what} and has {read}')
 
 
 def _is_ascii_stl(content: bytes) -> bool:

@@ -3,9 +3,9 @@
 Tracker recordings as NDI's Track software writes them (CSV, millimetres).
 
 One line a frame: the number of tools, then a block a tool, led by its label,
-``Port ...,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers`` (or Q0,Qx,Qy,Qz for the angles).
-Optical trackers append State,Tx,Ty,Tz of every marker.  Blocks may differ in length from line to line, so
-they are found by their labels.
+``Port ...,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers`` (or Q0,Qx,Qy,Qz for the
+angles). Optical trackers append State,Tx,Ty,Tz of every marker.  Blocks may differ in length from
+line to line, so they are found by their labels.
 """
 
 from __future__ import annotations
@@ -61,20 +61,21 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
     Returns
     -------
     Recording
-        m and s; samples whose State is not OK are dropped and counted as 'tracking_state'; the Error column
-        is the quality; stamps are None if the file has no times.
+        m and s; samples whose State is not OK are dropped and counted as 'tracking_state'; the
+        Error column is the quality; stamps are None if the file has no times.
 
     Raises
     ------
     InputError
-        If this is no such file, a good line has a value that is no number, the tool is not there or not
-        clear, or it was never tracked.
+        If this is no such file, a good line has a value that is no number, the tool is not there or
+        not clear, or it was never tracked.
 
     """
     text = enumerate(read_text(path).splitlines(), start=1)
     lines = [(number, _cells(line)) for number, line in text if line.strip()]
     if not lines or not _is_header(lines[0][1]):
-        raise InputError(f'{path} is no NDI tracker CSV: its header is not Tools,...,{",".join(NEEDED)}')
+        raise InputError(
+            f'{path} is no NDI tracker CSV: its header is not Tools,...,{",".join(NEEDED)}')
     tools = _tools(lines[0][1])
     chosen = _chosen(path, tools, tool)
     labels = {each.label for each in tools}
@@ -87,7 +88,8 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
         else:
             samples.append(_sample(f'{path}, line {number}', number, block, chosen))
     if not samples:
-        raise InputError(f'{path}: {chosen.label} was never tracked ({lost} lines, none with State OK)')
+        raise InputError(
+            f'{path}: {chosen.label} was never tracked ({lost} lines, none with State OK)')
     errors = np.array([sample.error for sample in samples]) * METRES['mm']
     return Recording(
         positions=np.array([sample.position for sample in samples]) * METRES['mm'],
@@ -123,7 +125,8 @@ def _chosen(path: str | os.PathLike[str], tools: list[_Tool], wanted: str | None
     found = [tool for tool in tools if wanted is None or wanted.lower() in tool.label.lower()]
     if len(found) != 1:
         what = 'several tools' if wanted is None else f'{len(found) or "no"} tools like {wanted!r}'
-        raise InputError(f'{path} has {what}: choose one of {"; ".join(tool.label for tool in tools)}')
+        raise InputError(
+            f'{path} has {what}: choose one of {"; ".join(tool.label for tool in tools)}')
     if not set(NEEDED) <= set(found[0].columns):
         raise InputError(f'{path}: {found[0].label} has not all of the columns {", ".join(NEEDED)}')
     return found[0]
@@ -144,15 +147,18 @@ def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
     while len(block) > width and not block[-1]:
         block = block[:-1]
     extra = len(block) - width
-    # markers come in groups of four cells; anything else, as a decimal comma, would shift the columns
+    # markers come in groups of four cells; anything else, as a decimal comma, would shift the
+    # columns
     if extra not in (*range(0, tool.extra, 4), tool.extra):
-        raise InputError(f'{where}: has {len(block)} values for {tool.label} where {width} are expected '
-                         '(numbers need a decimal point)')
+        raise InputError(
+            f'{where}: has {len(block)} values for {tool.label} where {width} are expected '
+            '(numbers need a decimal point)')
     cells = {name: block[i] for name, i in tool.columns.items()}
     time = cells.get('Time', '')
     try:
         position = [float(cells[name]) for name in ('Tx', 'Ty', 'Tz')]
-        return _Sample(position, float(cells.get('Error') or 'nan'), float(time) if time else None, number)
+        return _Sample(position, float(cells.get('Error') or 'nan'),
+                       float(time) if time else None, number)
     except ValueError:
         raise InputError(f'{where}: State is OK but Time, Tx, Ty, Tz or Error is no number '
                          '(numbers need a decimal point)') from None
@@ -165,5 +171,6 @@ def _stamps(path: str | os.PathLike[str], samples: list[_Sample]) -> Array | Non
         return None
     if not np.isfinite(times).all():
         line = samples[int(np.argmin(np.isfinite(times)))].line
-        raise InputError(f'{path}, line {line}: the time is empty or not finite, but other lines have one')
+        raise InputError(
+            f'{path}, line {line}: the time is empty or not finite, but other lines have one')
     return times

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bone models, touched points and landmarks from files; their unit is said by the caller, never guessed."""
+"""
+Bone models, touched points and landmarks from files.
+
+Their unit is said by the caller, never guessed.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,9 @@ NORMAL = ('nx', 'ny', 'nz')
 
 
 class Landmarks(NamedTuple):
-    """Names, positions in the bone frame (k, 3) m, and where each was touched, tracker frame (k, 3) m."""
+    """
+    Names, positions in the bone frame (k, 3) m, and where each was touched, tracker frame (k, 3) m.
+    """
 
     names: list[str]
     model: Array
@@ -37,8 +43,8 @@ def read_model(path: str | os.PathLike[str],
     """
     Read a bone's surface as it stands in its file: a mesh, or points with normals.
 
-    STL, PLY, OBJ and OFF are read as meshes (several bodies become one); a PLY without faces, XYZ and CSV as
-    points with normals, ``nx, ny, nz`` or the last three of six columns.
+    STL, PLY, OBJ and OFF are read as meshes (several bodies become one); a PLY without faces, XYZ
+    and CSV as points with normals, ``nx, ny, nz`` or the last three of six columns.
 
     Parameters
     ----------
@@ -56,7 +62,8 @@ def read_model(path: str | os.PathLike[str],
     Raises
     ------
     InputError
-        If the file is missing, damaged, cut short, of an unknown kind, or has neither faces nor normals.
+        If the file is missing, damaged, cut short, of an unknown kind, or has neither faces nor
+        normals.
 
     """
     scale = metres_per(unit)
@@ -71,10 +78,12 @@ def read_model(path: str | os.PathLike[str],
         vertices, faces = table.numbers(*(XYZ if named else range(3))), None
         normals = table.numbers(*(NORMAL if named else range(3, 6))) if has_normals else None
     else:
-        raise InputError(f'{path}: a model is an STL, PLY, OBJ or OFF file, or points with normals as PLY, '
-                         'XYZ or CSV')
+        raise InputError(
+            f'{path}: a model is an STL, PLY, OBJ or OFF file, or points with normals as PLY, '
+            'XYZ or CSV')
     if faces is None and normals is None:
-        raise InputError(f'{path} has neither faces nor normals: give a mesh, or points with nx, ny, nz')
+        raise InputError(
+            f'{path} has neither faces nor normals: give a mesh, or points with nx, ny, nz')
     if not np.isfinite(vertices).all() or (normals is not None and not np.isfinite(normals).all()):
         raise InputError(f'{path} has coordinates that are not finite: export the model again')
     return vertices * scale, faces, normals
@@ -84,9 +93,9 @@ def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
     """
     Read touched points.
 
-    CSV, TXT and XYZ with a header that names x, y, z in any order (and, if there, t/time/stamp in seconds,
-    quality/error in ``unit``, stroke, frame_id) or with x y z and no header; PLY; or an NDI tracker CSV,
-    known by its header.
+    CSV, TXT and XYZ with a header that names x, y, z in any order (and, if there, t/time/stamp in
+    seconds, quality/error in ``unit``, stroke, frame_id) or with x y z and no header; PLY; or an
+    NDI tracker CSV, known by its header.
 
     Parameters
     ----------
@@ -115,8 +124,9 @@ def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
             raise InputError(f'{path} has faces: it is a surface and not a list of touched points')
         return Recording(surface.vertices * scale, source_names=[path.name])
     if kind not in TEXTS:
-        raise InputError(f'{path}: points are a CSV, TXT or XYZ file with x, y, z, a PLY, or an NDI tracker '
-                         'CSV')
+        raise InputError(
+            f'{path}: points are a CSV, TXT or XYZ file with x, y, z, a PLY, or an NDI tracker '
+            'CSV')
     if ndi.is_ndi(path):
         if unit != 'mm':
             raise InputError(f'{path} is an NDI tracker file, which is in mm: say unit mm')
@@ -154,7 +164,8 @@ def _finite(table: Table, column: str) -> Array:
     values = table.numbers(column)[:, 0]
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
-        raise InputError(f'{table.path}, line {table.lines[bad[0]]}: the {column} is empty or not finite')
+        raise InputError(
+            f'{table.path}, line {table.lines[bad[0]]}: the {column} is empty or not finite')
     return values
 
 
@@ -163,13 +174,15 @@ def _whole(table: Table, column: str) -> NDArray[np.int32]:
     values = _finite(table, column)
     bad = np.flatnonzero((values != np.round(values)) | (np.abs(values) > 2**31 - 1))
     if len(bad):
-        raise InputError(f'{table.path}, line {table.lines[bad[0]]}: the {column} is no whole number')
+        raise InputError(
+            f'{table.path}, line {table.lines[bad[0]]}: the {column} is no whole number')
     return values.astype(np.int32)
 
 
 def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> Landmarks:
     """
-    Read pairs of landmarks: CSV with header ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``.
+    Read pairs of landmarks: CSV with header
+    ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``.
 
     Parameters
     ----------
@@ -186,14 +199,17 @@ def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> 
     Raises
     ------
     InputError
-        If a column is missing, a number is missing or not finite, a name stands twice, or there are no rows.
+        If a column is missing, a number is missing or not finite, a name stands twice, or there are
+        no rows.
 
     """
-    model_names, tracker_names = ([f'{side}_{axis}' for axis in XYZ] for side in ('model', 'tracker'))
+    model_names, tracker_names = ([f'{side}_{axis}' for axis in XYZ]
+                                  for side in ('model', 'tracker'))
     table = read_table(path)
     missing = [name for name in ('name', *model_names, *tracker_names) if name not in table.columns]
     if missing:
-        raise InputError(f'{path}: landmarks need the column{"s" * (len(missing) > 1)} {", ".join(missing)}')
+        raise InputError(
+            f'{path}: landmarks need the column{"s" * (len(missing) > 1)} {", ".join(missing)}')
     if not table.rows:
         raise InputError(f'{path} has no landmarks')
     names = table.text('name')

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every reader yields: the tip's positions as plain arrays in SI, in the order they were recorded."""
+"""
+What every reader yields.
+
+The tip's positions as plain arrays in SI, in the order they were recorded.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,8 @@ class Recording:
     """
     Tip positions and what is known of each.
 
-    positions : (n, 3) float64, m, each in its frame of `frame_ids`; rows that are not finite are kept for the
+    positions : (n, 3) float64, m, each in its frame of `frame_ids`; rows that are not finite are
+        kept for the
         gates to count
     stamps : (n,) float64, s, or None if the source has no time
     frame_ids : n names; one string given stands for all
@@ -46,11 +51,13 @@ class Recording:
         """Bring all to arrays of one length; `ValueError` says which does not fit."""
         self.positions = _array(self.positions, np.float64, 'positions', (-1, 3))
         n = len(self)
-        self.frame_ids = [self.frame_ids] * n if isinstance(self.frame_ids, str) else list(self.frame_ids)
+        self.frame_ids = [self.frame_ids] * n if isinstance(self.frame_ids, str) else list(
+            self.frame_ids)
         if len(self.frame_ids) != n:
             raise ValueError(f'{len(self.frame_ids)} frame_ids for {n} points')
         self.source_names = list(self.source_names)
-        self.sources = _array(self.sources if len(self.sources) else np.zeros(n), np.int32, 'sources', (n,))
+        self.sources = _array(self.sources if len(self.sources) else np.zeros(n), np.int32,
+                              'sources', (n, ))
         if n and not 0 <= self.sources.min() <= self.sources.max() < len(self.source_names):
             raise ValueError(f'sources point outside the {len(self.source_names)} source_names')
         if self.stamps is not None:
@@ -72,7 +79,8 @@ def _array(values: Any, dtype: Any, name: str, shape: tuple[int, ...]) -> Any:
     array = np.ascontiguousarray(values, dtype=dtype)
     if array.size == 0 and shape[0] in (-1, 0):
         array = array.reshape((0, *shape[1:]))
-    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape)):
+    if array.ndim != len(shape) or any(want not in (-1, got)
+                                       for want, got in zip(shape, array.shape)):
         raise ValueError(f'{name} has shape {array.shape}, wanted {shape}')
     return array
 
@@ -81,9 +89,10 @@ def merge(recordings: Sequence[Recording]) -> Recording:
     """
     Return several recordings as one, in the order of their stamps.
 
-    Each recording keeps its own order, so that the gates still see a clock that ran backwards; without stamps
-    they follow one another as given.  Sources of one name become one; strokes stay apart; where only some
-    recordings have strokes, each of the others is one stroke; quality that is unknown becomes NaN.
+    Each recording keeps its own order, so that the gates still see a clock that ran backwards;
+    without stamps they follow one another as given.  Sources of one name become one; strokes stay
+    apart; where only some recordings have strokes, each of the others is one stroke; quality that
+    is unknown becomes NaN.
 
     Raises
     ------
@@ -94,9 +103,12 @@ def merge(recordings: Sequence[Recording]) -> Recording:
     if not recordings:
         raise InputError('there are no recordings to merge')
     if len({r.stamps is None for r in recordings}) > 1:
-        raise InputError('some of the recordings have stamps and some have none: they cannot be put in order')
+        raise InputError(
+            'some of the recordings have stamps and some have none: they cannot be put in order')
     names = list(dict.fromkeys(name for r in recordings for name in r.source_names))
-    sources = [np.array([names.index(name) for name in r.source_names])[r.sources] for r in recordings]
+    sources = [
+        np.array([names.index(name) for name in r.source_names])[r.sources] for r in recordings
+    ]
     stamps = [r.stamps for r in recordings if r.stamps is not None]
     whole = Recording(
         positions=np.concatenate([r.positions for r in recordings]),
@@ -125,7 +137,8 @@ def _joined_quality(recordings: Sequence[Recording]) -> Array | None:
     """Return the quality of all points one after another, None if no recording has any."""
     if all(r.quality is None for r in recordings):
         return None
-    return np.concatenate([np.full(len(r), np.nan) if r.quality is None else r.quality for r in recordings])
+    return np.concatenate(
+        [np.full(len(r), np.nan) if r.quality is None else r.quality for r in recordings])
 
 
 def _joined_strokes(recordings: Sequence[Recording]) -> NDArray[np.int32] | None:

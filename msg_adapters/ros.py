@@ -2,8 +2,8 @@
 """
 ROS messages from arrays and results, and back; the only place that builds messages.
 
-Metres, radians and seconds; quaternions x y z w; covariances row by row in the order x y z rx ry rz about
-fixed axes (REP-103).
+Metres, radians and seconds; quaternions x y z w; covariances row by row in the order x y z rx ry rz
+about fixed axes (REP-103).
 """
 
 from __future__ import annotations
@@ -33,14 +33,22 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array, from_rt, quaternion_from_rotation, rotation_from_quaternion
+from gsdf_registration.rigid import (
+    Array,
+    from_rt,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 from msg_adapters import stamps
 
 # a point of ~/points: name and type of its fields, each of four bytes
-CLOUD = [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('residual', '<f4'), ('weight', '<f4'), ('stroke', '<i4')]
-FIELD_TYPES = {PointField.INT8: 'i1', PointField.UINT8: 'u1', PointField.INT16: 'i2', PointField.UINT16: 'u2',
-               PointField.INT32: 'i4', PointField.UINT32: 'u4',
-               PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
+CLOUD = [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('residual', '<f4'), ('weight', '<f4'),
+         ('stroke', '<i4')]
+FIELD_TYPES = {
+    PointField.INT8: 'i1', PointField.UINT8: 'u1', PointField.INT16: 'i2', PointField.UINT16: 'u2',
+    PointField.INT32: 'i4', PointField.UINT32: 'u4', PointField.FLOAT32: 'f4',
+    PointField.FLOAT64: 'f8'
+}
 TYPE_NUMBERS = {name: number for number, name in FIELD_TYPES.items()}
 
 
@@ -62,16 +70,20 @@ def point_from(message: PointStamped) -> tuple[float, Array, str]:
 
 
 def pose_from(message: PoseStamped) -> tuple[float, Array, str]:
-    """Return stamp (s), ``T_frame_body`` (4, 4) and frame of a pose; `InputError` if it is no motion."""
+    """
+    Return stamp (s), ``T_frame_body`` (4, 4) and frame of a pose; `InputError` if it is no motion.
+    """
     pose, header = message.pose, message.header
     return stamp_to_seconds(header.stamp), _motion(pose.position, pose.orientation), header.frame_id
 
 
 def transform_from(message: TransformStamped) -> tuple[float, Array, str, str]:
-    """Return stamp (s), ``T_parent_child`` (4, 4), parent and child; `InputError` if it is no motion."""
+    """
+    Return stamp (s), ``T_parent_child`` (4, 4), parent and child; `InputError` if it is no motion.
+    """
     motion, header = message.transform, message.header
-    return (stamp_to_seconds(header.stamp), _motion(motion.translation, motion.rotation), header.frame_id,
-            message.child_frame_id)
+    return (stamp_to_seconds(header.stamp), _motion(motion.translation, motion.rotation),
+            header.frame_id, message.child_frame_id)
 
 
 def point_msg(position: ArrayLike, frame_id: str, stamp: Time) -> PointStamped:
@@ -96,12 +108,14 @@ def transform_msg(T: ArrayLike, parent: str, child: str, stamp: Time) -> Transfo
     """Return ``T_parent_child`` (4, 4) for /tf."""
     T = np.asarray(T, dtype=np.float64)
     x, y, z = (float(value) for value in T[:3, 3])
-    return TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child,
-                            transform=Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(T)))
+    return TransformStamped(header=Header(stamp=stamp, frame_id=parent),
+                            child_frame_id=child,
+                            transform=Transform(translation=Vector3(x=x, y=y, z=z),
+                                                rotation=_quaternion(T)))
 
 
-def cloud_msg(positions: ArrayLike, residual: ArrayLike, weight: ArrayLike, stroke: ArrayLike, frame_id: str,
-              stamp: Time) -> PointCloud2:
+def cloud_msg(positions: ArrayLike, residual: ArrayLike, weight: ArrayLike, stroke: ArrayLike,
+              frame_id: str, stamp: Time) -> PointCloud2:
     """
     Return points as a cloud with fields x y z residual weight (float32) and stroke (int32).
 
@@ -146,31 +160,45 @@ def cloud_to_arrays(message: PointCloud2) -> dict[str, NDArray[Any]]:
     size, n = message.point_step, message.width * message.height
     try:
         layout = np.dtype({
-            'names': [field.name for field in message.fields],
-            'formats': [(order + FIELD_TYPES[field.datatype], (field.count,) if field.count > 1 else ())
-                        for field in message.fields],
-            'offsets': [field.offset for field in message.fields], 'itemsize': size})
+            'names': [field.name for field in message.fields], 'formats': [
+                (order + FIELD_TYPES[field.datatype], (field.count, ) if field.count > 1 else ())
+                for field in message.fields
+            ], 'offsets': [field.offset for field in message.fields], 'itemsize': size
+        })
         data = np.frombuffer(message.data, dtype=np.uint8)
         # a row may be longer than its points
         rows = data.reshape(message.height, message.row_step)[:, :message.width * size]
         points = np.ascontiguousarray(rows).view(layout).reshape(n)
     except (ValueError, KeyError) as error:
         raise InputError(f'the point cloud does not fit its own description: {error}') from None
-    return {name: points[name].astype(points[name].dtype.newbyteorder('=')) for name in layout.names or ()}
+    return {
+        name: points[name].astype(points[name].dtype.newbyteorder('='))
+        for name in layout.names or ()
+    }
 
 
 def diagnostic_status(name: str, level: bytes, message: str, values: Mapping[str, Any],
                       hardware_id: str = '') -> DiagnosticStatus:
-    """Return a status; ``level``: DiagnosticStatus.OK, WARN, ERROR or STALE; ``values`` become text."""
+    """
+    Return a status; ``level``: DiagnosticStatus.OK, WARN, ERROR or STALE; ``values`` become text.
+    """
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    return DiagnosticStatus(name=name, level=level, message=message, hardware_id=hardware_id, values=pairs)
+    return DiagnosticStatus(name=name,
+                            level=level,
+                            message=message,
+                            hardware_id=hardware_id,
+                            values=pairs)
 
 
 def surface_msg(points: ArrayLike, frame_id: str, stamp: Time, size: float = 0.002) -> MarkerArray:
     """Return a surface as dots: ``points`` (n, 3) m in ``frame_id``, ``size`` m across."""
-    marker = Marker(header=Header(stamp=stamp, frame_id=frame_id), ns='surface', type=Marker.POINTS,
-                    action=Marker.ADD, points=[_point(point) for point in np.asarray(points)],
-                    scale=Vector3(x=size, y=size, z=size), color=ColorRGBA(r=0.9, g=0.87, b=0.78, a=1.0))
+    marker = Marker(header=Header(stamp=stamp, frame_id=frame_id),
+                    ns='surface',
+                    type=Marker.POINTS,
+                    action=Marker.ADD,
+                    points=[_point(point) for point in np.asarray(points)],
+                    scale=Vector3(x=size, y=size, z=size),
+                    color=ColorRGBA(r=0.9, g=0.87, b=0.78, a=1.0))
     marker.pose.orientation.w = 1.0
     return MarkerArray(markers=[marker])
 
@@ -199,6 +227,7 @@ def _motion(position: Point | Vector3, rotation: Quaternion) -> Array:
     if not np.isfinite(t).all():
         raise InputError(f'a pose has the position {t}, which is not finite')
     try:
-        return from_rt(rotation_from_quaternion([rotation.x, rotation.y, rotation.z, rotation.w]), t)
+        return from_rt(rotation_from_quaternion([rotation.x, rotation.y, rotation.z, rotation.w]),
+                       t)
     except ValueError as error:
         raise InputError(f'a pose has no orientation: {error}') from None

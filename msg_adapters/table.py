@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Delimited text as people and programs write it: comments, blank lines, any order and case of columns."""
+"""
+Delimited text as people and programs write it.
+
+Comments, blank lines, any order and case of columns.
+"""
 
 from __future__ import annotations
 
@@ -62,10 +66,11 @@ class Table:
 
 def read_table(path: str | os.PathLike[str], wanted: Iterable[str] = ()) -> Table:
     """
-    Read comma, semicolon, tab or blank separated text; the first line that is not all numbers is the header.
+    Read comma, semicolon, tab or blank separated text; the first line that is not all numbers is
+    the header.
 
-    Blank lines and lines that begin with ``#`` are skipped, but a comment that holds all ``wanted`` names is
-    the header (as numpy.savetxt writes it).
+    Blank lines and lines that begin with ``#`` are skipped, but a comment that holds all ``wanted``
+    names is the header (as numpy.savetxt writes it).
 
     Raises
     ------
@@ -114,7 +119,8 @@ def _header(path: str | os.PathLike[str], number: int, names: list[str]) -> dict
 def _fitted(path: str | os.PathLike[str], number: int, cells: list[str], width: int) -> list[str]:
     """Return ``cells`` without empty ones past ``width``, or raise if they do not fit."""
     if len(cells) < width or any(cells[width:]):
-        raise InputError(f'{path}, line {number}: has {len(cells)} values where {width} are expected')
+        raise InputError(
+            f'{path}, line {number}: has {len(cells)} values where {width} are expected')
     return cells[:width]
 
 
@@ -127,7 +133,10 @@ def _cells(text: str, separator: str) -> list[str]:
     """Split a line into stripped cells, quotes removed."""
     if separator == ' ':
         return text.split()
-    return [cell.strip() for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
+    return [
+        cell.strip()
+        for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True))
+    ]
 
 
 def _is_number(cell: str) -> bool:

@@ -72,7 +72,8 @@ def write_truth(path: str | os.PathLike[str], truth: Truth) -> None:
     document = {'schema': SCHEMA, 'model': truth.model, 'model_unit': truth.model_unit,
                 'frame_id': truth.frame_id, 'T_tracker_bone': truth.T_tracker_bone.tolist(),
                 'landmarks': landmarks, 'about': truth.about}
-    write_atomically(path, yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))
+    write_atomically(path,
+                     yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100))
 
 
 def read_truth(path: str | os.PathLike[str]) -> Truth:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures that several test modules use: the shipped bones and recordings, and a copy of the sources."""
+"""
+Fixtures that several test modules use: the shipped bones and recordings, and a copy of the sources.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +17,15 @@ from msg_adapters.recording import Recording
 from msg_adapters.truth import Truth, read_truth
 
 ROOT = Path(__file__).parents[1]
-PACKAGE = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE', 'resource',
-           'config', 'launch', 'bags', 'gsdf_registration', 'msg_adapters', 'test')
+PACKAGE = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE',
+           'resource', 'config', 'launch', 'bags', 'gsdf_registration', 'msg_adapters', 'test')
 
 
 @pytest.fixture(scope='session')
 def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a copy of what makes the package, to build in without leaving anything in the sources."""
+    """
+    Return a copy of what makes the package, to build in without leaving anything in the sources.
+    """
     copy = tmp_path_factory.mktemp('workspace') / 'gsdf_registration'
     for name in PACKAGE:
         if (ROOT / name).is_dir():

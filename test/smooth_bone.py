@@ -17,11 +17,14 @@ T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
 
 
 def ball_mesh(radii: Array, bumps: tuple[tuple[Array, float], ...] = ()) -> trimesh.Trimesh:
-    """Return an ellipsoid, m, with a smooth bump (direction, relative height) for each of ``bumps``."""
+    """
+    Return an ellipsoid, m, with a smooth bump (direction, relative height) for each of ``bumps``.
+    """
     ball = trimesh.creation.icosphere(subdivisions=5)
     scale = np.ones(len(ball.vertices))
     for direction, height in bumps:
-        scale += height * np.exp(4.0 * (ball.vertices @ (direction / np.linalg.norm(direction)) - 1.0))
+        scale += height * np.exp(4.0 *
+                                 (ball.vertices @ (direction / np.linalg.norm(direction)) - 1.0))
     return trimesh.Trimesh(ball.vertices * radii * scale[:, None], ball.faces, process=False)
 
 

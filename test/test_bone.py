@@ -157,11 +157,11 @@ def test_what_is_no_bone_is_refused():
     broken[3, 1] = np.nan
     beyond = f.copy()
     beyond[2, 2] = len(v)
-    for vertices, faces, said in [
-            (broken, f, 'not finite'), (v, beyond, 'face 2'), (v, -f, 'not there'), (v, None, 'neither'),
-            (v, f[:0], 'neither'), (v[:0], f, 'empty'), (v[:, :2], f, 'rows of three'),
-            (v, f[:, :2], 'triangulate'), (v, f.astype(float), 'indices'),
-            (v, np.repeat(f[:, :1], 3, axis=1), 'area')]:
+    for vertices, faces, said in [(broken, f, 'not finite'), (v, beyond, 'face 2'),
+                                  (v, -f, 'not there'), (v, None, 'neither'), (v, f[:0], 'neither'),
+                                  (v[:0], f, 'empty'), (v[:, :2], f, 'rows of three'),
+                                  (v, f[:, :2], 'triangulate'), (v, f.astype(float), 'indices'),
+                                  (v, np.repeat(f[:, :1], 3, axis=1), 'area')]:
         with pytest.raises(InputError, match=said):
             make_bone(vertices, faces)
 

@@ -15,8 +15,12 @@ COLCON = [sys.executable, '-m', 'colcon', '--log-base', 'log']
 
 def colcon(workspace: Path, *arguments: str) -> str:
     """Run colcon in the workspace with the ROS of this environment, return what it printed."""
-    done = subprocess.run([*COLCON, *arguments], cwd=workspace, text=True, stdout=subprocess.PIPE,
-                          stderr=subprocess.STDOUT, env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix})
+    done = subprocess.run([*COLCON, *arguments],
+                          cwd=workspace,
+                          text=True,
+                          stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT,
+                          env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix})
     assert done.returncode == 0, done.stdout
     return done.stdout
 
@@ -49,8 +53,12 @@ def test_share_is_where_ament_looks(workspace: Path) -> None:
 def test_the_installed_packages_import(workspace: Path, tmp_path: Path) -> None:
     site = next((workspace / 'install/gsdf_registration/lib').glob('python3*/site-packages'))
     code = 'import gsdf_registration, msg_adapters; print(gsdf_registration.__file__, msg_adapters.__file__)'
-    done = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, capture_output=True, text=True,
-                          check=True, env={**os.environ, 'PYTHONPATH': str(site)})
+    done = subprocess.run([sys.executable, '-c', code],
+                          cwd=tmp_path,
+                          capture_output=True,
+                          text=True,
+                          check=True,
+                          env={**os.environ, 'PYTHONPATH': str(site)})
     assert done.stdout.count(str(site)) == 2
 
 

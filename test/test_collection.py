@@ -43,8 +43,8 @@ def test_sound_points_are_kept_as_they_are() -> None:
     assert (c.received, len(c), c.strokes, c.frame_id) == (100, 100, 1, 'cam')
 
 
-@pytest.mark.parametrize('position', [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0.0, 0.0, -math.inf),
-                                      (-3.697314e28, 0.0, 0.0)])
+@pytest.mark.parametrize('position', [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0),
+                                      (0.0, 0.0, -math.inf), (-3.697314e28, 0.0, 0.0)])
 def test_what_is_no_position_is_refused(position: tuple[float, float, float]) -> None:
     c = collection()
     assert c.add(0.0, position, 'cam') is Rejection.NOT_FINITE
@@ -153,7 +153,8 @@ def test_one_wild_point_does_not_lock_out_the_others(wild_at: int) -> None:
                 max_size=20))
 def test_scattered_wild_points_cost_few_good_ones(wild: list[tuple[int, float, float]]) -> None:
     c = collection(max_gap=0.5)
-    wild_at = {index: side * (offset + index) for index, offset, side in wild}     # no two near each other
+    # no two near each other
+    wild_at = {index: side * (offset + index) for index, offset, side in wild}
     kept = 0
     for i in range(200):
         x, y, z = path(i)
@@ -292,7 +293,9 @@ def test_how_sources_interleave_does_not_matter(order: list[int], random) -> Non
             y = 1.0 if i % 7 == 3 else 0.0      # a wild point now and then
             c.add(i / RATE if i % 5 else 0.0, (path(i)[0], y, float(source)), 'cam', source)
         points = c.arrays()
-        return c.counts, [points.positions[points.sources == source].tolist() for source in range(3)]
+        return c.counts, [
+            points.positions[points.sources == source].tolist() for source in range(3)
+        ]
 
     shuffled = list(order)
     random.shuffle(shuffled)

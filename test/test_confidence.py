@@ -27,7 +27,9 @@ METHODS = ('paper', 'mixture')
 
 def confidence_at(points: Array, field: Field, guess: Array,
                   method: str = 'paper') -> tuple[Solution, Confidence]:
-    """Solve from a first guess (4, 4) T_bone_tracker; return the solution and what is claimed of it."""
+    """
+    Solve from a first guess (4, 4) T_bone_tracker; return the solution and what is claimed of it.
+    """
     config = SolverConfig(method=method)
     solution = solve(points, field, guess, config)
     confidence = assess(solution, points, nearest_neighbours(points, config.neighbours))
@@ -36,8 +38,12 @@ def confidence_at(points: Array, field: Field, guess: Array,
 
 
 def pose_error(found: Array, truth: Array) -> Array:
-    """Return x y z, then the rotation about the fixed axes of the tracker frame: the order of REP-103."""
-    return np.concatenate([found[:3, 3] - truth[:3, 3], rigid.rotation_log(found[:3, :3] @ truth[:3, :3].T)])
+    """
+    Return x y z, then the rotation about the fixed axes of the tracker frame: the order of REP-103.
+    """
+    return np.concatenate(
+        [found[:3, 3] - truth[:3, 3],
+         rigid.rotation_log(found[:3, :3] @ truth[:3, :3].T)])
 
 
 @cache
@@ -53,7 +59,8 @@ def trials(method: str) -> dict[str, Any]:
         found = rigid.inverse(solution.T_bone_tracker)
         error = pose_error(found, T)
         nees.append(error @ np.linalg.solve(confidence.pose_covariance(found), error))
-        tre.append(np.linalg.norm(rigid.transform(found, TARGETS) - rigid.transform(T, TARGETS), axis=1))
+        tre.append(
+            np.linalg.norm(rigid.transform(found, TARGETS) - rigid.transform(T, TARGETS), axis=1))
         claimed.append(confidence.predicted_tre(TARGETS))
     return {'nees': np.array(nees), 'tre': np.array(tre), 'claimed': np.array(claimed)}
 
@@ -92,7 +99,9 @@ def test_pose_covariance_is_that_of_the_pose_under_small_motions() -> None:
     drawn = np.cov(np.array(rows).T)
     claimed = Confidence(np.cov(motions.T), centre, SIGMA, 1.0).pose_covariance(T)
     scale = np.sqrt(np.diag(claimed))
-    np.testing.assert_allclose(drawn / np.outer(scale, scale), claimed / np.outer(scale, scale), atol=0.01)
+    np.testing.assert_allclose(drawn / np.outer(scale, scale),
+                               claimed / np.outer(scale, scale),
+                               atol=0.01)
 
 
 def test_the_claims_do_not_depend_on_where_the_tracker_stands() -> None:
@@ -100,17 +109,22 @@ def test_the_claims_do_not_depend_on_where_the_tracker_stands() -> None:
     T = rigid.exp([1.0, -0.4, 2.0, 0.8, -0.5, -1.4])
     _, here = confidence_at(bare, bone_field(), np.eye(4))
     _, there = confidence_at(rigid.transform(T, bare), bone_field(), rigid.inverse(T))
-    np.testing.assert_allclose(there.motion_covariance, here.motion_covariance, rtol=1e-5, atol=1e-18)
+    np.testing.assert_allclose(there.motion_covariance,
+                               here.motion_covariance,
+                               rtol=1e-5,
+                               atol=1e-18)
     np.testing.assert_allclose(there.predicted_tre(TARGETS), here.predicted_tre(TARGETS), rtol=1e-6)
     # the covariance of the pose turns with the tracker
     turn = np.kron(np.eye(2), T[:3, :3])
-    np.testing.assert_allclose(there.pose_covariance(T), turn @ here.pose_covariance(np.eye(4)) @ turn.T,
-                               rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(there.pose_covariance(T),
+                               turn @ here.pose_covariance(np.eye(4)) @ turn.T,
+                               rtol=1e-5,
+                               atol=1e-12)
 
 
 def test_four_times_the_points_halve_the_predicted_tre() -> None:
-    few, many = (confidence_at(touched(n, 4, SIGMA), bone_field(), np.eye(4))[1].predicted_tre(TARGETS)
-                 for n in (250, 1000))
+    few, many = (confidence_at(touched(n, 4, SIGMA), bone_field(),
+                               np.eye(4))[1].predicted_tre(TARGETS) for n in (250, 1000))
     np.testing.assert_allclose(few / many, 2.0, rtol=0.15)
 
 
@@ -153,4 +167,5 @@ def test_points_in_one_plane_claim_nothing() -> None:
     solution, _ = confidence_at(points, bone_field(), np.eye(4))
     flat = solution.jacobian.copy()
     flat[:, [0, 1, 5]] = 0.0        # what turns about x or y or goes along z changes no distance
-    assert assess(dataclasses.replace(solution, jacobian=flat), points, nearest_neighbours(points, 16)) is None
+    assert assess(dataclasses.replace(solution, jacobian=flat), points,
+                  nearest_neighbours(points, 16)) is None

@@ -23,9 +23,9 @@ from gsdf_registration.result import InputError, Reason
 FOLDER = Path(__file__).parents[1] / 'config'
 HEAD = """\
 # SPDX-License-Identifier: Apache-2.0
-# Every setting with its default. You need none of this to run: give a file with only what you change,
-#   gsdf register ... --config my.yaml
-#   ros2 launch gsdf_registration registration.launch.py config:=my.yaml
+# Every setting with its default. You need none of this to run: give a file with only what you
+# change, gsdf register ... --config my.yaml ros2 launch gsdf_registration registration.launch.py
+# config:=my.yaml
 /**:
   ros__parameters:
 """
@@ -39,7 +39,8 @@ def documented_settings() -> str:
         if section != name.split('.')[0]:
             section = name.split('.')[0]
             text += f'    {section}:\n'
-        value = yaml.safe_dump(default_of(setting), default_flow_style=True, width=1000).split('\n')[0]
+        value = yaml.safe_dump(default_of(setting), default_flow_style=True,
+                               width=1000).split('\n')[0]
         unit = f' [{about["unit"]}]' if about['unit'] else ''
         choices = f' ({", ".join(about["choices"])})' if about['choices'] else ''
         text += f'      # {about["description"]}{choices}{unit}\n      {name.split(".")[1]}: {value}\n'
@@ -92,7 +93,8 @@ def test_flat_and_back() -> None:
     lambda sections: {'registration': {'ros__parameters': sections}},
 ])
 def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
-    assert Config.from_nested(wrap({'gate': {'max_speed': 0.5}})) == Config.from_flat({'gate.max_speed': 0.5})
+    assert Config.from_nested(wrap({'gate': {'max_speed': 0.5}
+                                    })) == Config.from_flat({'gate.max_speed': 0.5})
 
 
 @pytest.mark.parametrize(('values', 'sentence'), [
@@ -114,11 +116,13 @@ def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
     ({'targets.positions': ['0', '0', '0']}, 'targets.positions must be a list of float'),
     ({'targets.positions': [None, 0.0, 0.0]}, 'targets.positions must be a list of float'),
     ({'targets.positions': [True, 0.0, 0.0]}, 'targets.positions must be a list of float'),
-    ({'targets.names': ['a'], 'targets.positions': [float('nan'), 0.0, 0.0]}, 'must be a list of float'),
+    ({'targets.names': ['a'], 'targets.positions': [float('nan'), 0.0, 0.0]
+      }, 'must be a list of float'),
     ({'landmarks.names': ['a']}, 'landmarks.positions holds 0 numbers for 1 names'),
     ({'targets.positions': [0.0, 0.0]}, 'targets.positions holds 2 numbers for 0 names'),
 ])
-def test_what_cannot_be_used_is_refused_in_a_sentence(values: dict[str, Any], sentence: str) -> None:
+def test_what_cannot_be_used_is_refused_in_a_sentence(values: dict[str, Any],
+                                                      sentence: str) -> None:
     with pytest.raises(InputError, match=sentence) as refusal:
         Config.from_flat(values)
     assert refusal.value.reason is Reason.BAD_INPUT

@@ -67,12 +67,14 @@ LINE = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.09, 0.001, 0.0]])
     (MODEL[0], TOUCHED[0], 'of shape (3,)'),
     (replaced(MODEL, 1, np.nan), TOUCHED, 'not finite'),
     (MODEL, replaced(TOUCHED, 2, np.inf), 'not finite'),
-    (MODEL, replaced(TOUCHED, 2, TOUCHED[0] + 0.001), 'landmarks 1 and 3 as touched are only 1.7 mm apart'),
+    (MODEL, replaced(TOUCHED, 2,
+                     TOUCHED[0] + 0.001), 'landmarks 1 and 3 as touched are only 1.7 mm apart'),
     (replaced(MODEL, 1, MODEL[0]), TOUCHED, 'landmarks 1 and 2 on the model are only 0.0 mm apart'),
     (LINE, TOUCHED, 'on the model lie on a line'),
     (MODEL, rigid.transform(T_TRACKER_BONE, LINE), 'as touched lie on a line'),
 ])
-def test_what_fixes_no_pose_is_refused_in_a_sentence(model: Array, tracker: Array, words: str) -> None:
+def test_what_fixes_no_pose_is_refused_in_a_sentence(model: Array, tracker: Array,
+                                                     words: str) -> None:
     with pytest.raises(InputError) as error:
         pose_from_landmarks(model, tracker)
     assert words in error.value.message

@@ -14,7 +14,10 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.mark.parametrize('command', [['ruff', 'check'], ['mypy']], ids=['ruff', 'mypy'])
 def test_lint(command: list[str]) -> None:
-    done = subprocess.run([sys.executable, '-m', *command], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, '-m', *command],
+                          cwd=ROOT,
+                          capture_output=True,
+                          text=True)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

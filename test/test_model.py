@@ -34,9 +34,11 @@ def test_the_unit_is_as_stated(mesh: Path) -> None:
     assert refusal.value.reason is Reason.WRONG_UNIT and str(mesh) in refusal.value.message
 
 
-def test_the_second_time_it_comes_from_the_cache(mesh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_time_it_comes_from_the_cache(mesh: Path,
+                                                 monkeypatch: pytest.MonkeyPatch) -> None:
     first = load_model(str(mesh), 'mm', 0.004)
-    monkeypatch.setattr('gsdf_registration.field.cache.build_field', lambda *_: pytest.fail('built again'))
+    monkeypatch.setattr('gsdf_registration.field.cache.build_field',
+                        lambda *_: pytest.fail('built again'))
     assert load_model(str(mesh), 'mm', 0.004).bone_sha256 == first.bone_sha256
 
 
@@ -60,7 +62,8 @@ def test_a_package_uri_is_found_in_the_ament_index(mesh: Path, tmp_path: Path,
     assert load_model('package://some_bones/bone.stl', 'mm', 0.004).extent > 0.0
 
 
-def test_a_package_uri_is_found_without_ros(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_package_uri_is_found_without_ros(monkeypatch: pytest.MonkeyPatch,
+                                            tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, 'ament_index_python.packages', None)
     assert find_model('package://gsdf_registration/model.py') == Path(model.__file__)
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))

@@ -23,8 +23,13 @@ def installed(source_copy: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     """Return a prefix into which the package, without its dependencies, was installed by pip."""
     prefix = tmp_path_factory.mktemp('prefix')
     # --ignore-installed: or pip would remove the package from the environment that runs the tests
-    subprocess.run([sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation',
-                    '--ignore-installed', '--prefix', str(prefix), str(source_copy)], check=True)
+    subprocess.run([
+        sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation',
+        '--ignore-installed', '--prefix',
+        str(prefix),
+        str(source_copy)
+    ],
+                   check=True)
     return prefix
 
 
@@ -39,7 +44,10 @@ def test_console_scripts_stand_on_the_path(installed: Path, script: str) -> None
 
 
 def test_the_installed_command_runs(installed: Path, tmp_path: Path) -> None:
-    done = subprocess.run([installed / 'bin/gsdf', '--help'], cwd=tmp_path, capture_output=True, text=True,
+    done = subprocess.run([installed / 'bin/gsdf', '--help'],
+                          cwd=tmp_path,
+                          capture_output=True,
+                          text=True,
                           env={**os.environ, 'PYTHONPATH': str(site_packages(installed))})
     assert done.returncode == 0, done.stderr
     assert 'register' in done.stdout
@@ -60,7 +68,8 @@ def test_ros_finds_the_share_folder(installed: Path) -> None:
     assert (share / 'launch/registration.launch.py').is_file()
     for folder in ('config', 'bags'):
         sources = {file.relative_to(ROOT) for file in (ROOT / folder).rglob('*') if file.is_file()}
-        assert {file.relative_to(share) for file in (share / folder).rglob('*') if file.is_file()} == sources
+        assert {file.relative_to(share)
+                for file in (share / folder).rglob('*') if file.is_file()} == sources
         assert sources
 
 
@@ -75,7 +84,8 @@ def test_the_manifest_names_every_message_package_that_is_imported() -> None:
     declared = {element.text for element in MANIFEST if element.tag in ('depend', 'exec_depend')}
     sources = [file.read_text() for package in ('gsdf_registration', 'msg_adapters', 'launch')
                for file in (ROOT / package).rglob('*.py')]
-    names = re.compile(r'(?m)^\s*(?:from|import) (\w+(?:_msgs|_srvs|_interfaces)|rclpy|launch\w*)\b')
+    names = re.compile(
+        r'(?m)^\s*(?:from|import) (\w+(?:_msgs|_srvs|_interfaces)|rclpy|launch\w*)\b')
     imported = {name for text in sources for name in names.findall(text)}
     assert 'geometry_msgs' in imported
     assert imported <= declared

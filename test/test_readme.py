@@ -25,8 +25,11 @@ def test_links_lead_to_files(document: str) -> None:
 
 def test_the_python_example_finds_the_bone(tmp_path: Path) -> None:
     example, = re.findall(r'```python\n(.*?)```', README, re.DOTALL)
-    done = subprocess.run([sys.executable, '-c', example + 'assert result.success\n'], cwd=ROOT,
-                          env={**os.environ, 'GSDF_CACHE_DIR': str(tmp_path)}, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, '-c', example + 'assert result.success\n'],
+                          cwd=ROOT,
+                          env={**os.environ, 'GSDF_CACHE_DIR': str(tmp_path)},
+                          capture_output=True,
+                          text=True)
     assert done.returncode == 0, done.stderr
 
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`register`: a pose with all that is known of it, or a reason in a sentence; never an exception."""
+"""
+`register`: a pose with all that is known of it, or a reason in a sentence; never an exception.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,11 @@ def finite_numbers(value: Any) -> bool:
 
 
 def test_landmarks_give_the_pose_with_all_that_is_known_of_it() -> None:
-    result = register(seen(), bone_field(), TARGETS, landmarks=(LANDMARKS, TOUCHED_LANDMARKS), history=True)
+    result = register(seen(),
+                      bone_field(),
+                      TARGETS,
+                      landmarks=(LANDMARKS, TOUCHED_LANDMARKS),
+                      history=True)
     assert result.success and result.reason is Reason.CONVERGED
     offset = rigid.log(rigid.inverse(T_TRACKER_BONE) @ result.T_tracker_bone)
     assert np.linalg.norm(offset[:3]) < np.radians(1.0) and np.linalg.norm(offset[3:]) < 1e-3
@@ -94,8 +100,9 @@ def test_the_same_points_give_the_same_bits() -> None:
 def test_points_in_single_precision_will_do() -> None:
     result = register(seen().astype(np.float32), bone_field(), T_tracker_bone=NEAR)
     assert result.success
-    offset = rigid.log(rigid.inverse(register(seen(), bone_field(), T_tracker_bone=NEAR).T_tracker_bone)
-                       @ result.T_tracker_bone)
+    offset = rigid.log(
+        rigid.inverse(register(seen(), bone_field(), T_tracker_bone=NEAR).T_tracker_bone)
+        @ result.T_tracker_bone)
     assert np.abs(offset).max() < 1e-5
 
 
@@ -114,8 +121,11 @@ def test_points_in_single_precision_will_do() -> None:
     (None, Reason.BAD_INPUT, 'points'),
     (np.array(1.0), Reason.BAD_INPUT, 'points'),
     (object(), Reason.BAD_INPUT, 'points'),
-], ids=['few', 'none', 'small', 'mm', 'km', 'nan', 'inf', '2d', 'flat', 'ragged', 'words', 'None', 'scalar',
-        'object'])
+],
+                         ids=[
+                             'few', 'none', 'small', 'mm', 'km', 'nan', 'inf', '2d', 'flat',
+                             'ragged', 'words', 'None', 'scalar', 'object'
+                         ])
 def test_points_that_cannot_be_used_are_refused(points: Any, reason: Reason, words: str) -> None:
     assert words in refused(register(points, bone_field(), T_tracker_bone=NEAR), reason)
 
@@ -137,8 +147,9 @@ def test_landmarks_that_fix_no_pose_are_refused(landmarks: Any) -> None:
 
 def test_points_that_are_not_on_the_bone_are_refused() -> None:
     cloud = np.random.default_rng(0).uniform(-0.1, 0.1, (400, 3))
-    refused(register(rigid.transform(T_TRACKER_BONE, cloud), bone_field(), T_tracker_bone=NEAR),
-            Reason.TOO_FEW_INLIERS, Reason.MODEL_MISMATCH, Reason.NOT_CONVERGED, Reason.UNDER_CONSTRAINED)
+    refused(register(rigid.transform(T_TRACKER_BONE, cloud), bone_field(),
+                     T_tracker_bone=NEAR), Reason.TOO_FEW_INLIERS, Reason.MODEL_MISMATCH,
+            Reason.NOT_CONVERGED, Reason.UNDER_CONSTRAINED)
 
 
 def test_mostly_air_is_too_few_inliers() -> None:
@@ -154,7 +165,10 @@ def test_mostly_air_is_too_few_inliers() -> None:
 def test_another_bone_is_a_mismatch() -> None:
     points = touched(400, 0, 1.5e-3)
     tracker = Config.from_flat({'limits.max_sigma': 5e-4, 'solver.cauchy_scale': 5e-3})
-    result = register(rigid.transform(T_TRACKER_BONE, points), bone_field(), tracker, T_tracker_bone=NEAR)
+    result = register(rigid.transform(T_TRACKER_BONE, points),
+                      bone_field(),
+                      tracker,
+                      T_tracker_bone=NEAR)
     assert 'mm' in refused(result, Reason.MODEL_MISMATCH)
 
 
@@ -168,28 +182,39 @@ def round_field(*radii: float) -> tuple[Any, Field]:
     return mesh, field_of(mesh, 0.002)
 
 
-@pytest.mark.parametrize(('radii', 'radius'), [((0.04, 0.04, 0.04), 1.0), ((0.04, 0.04, 0.04), 0.03),
-                                               ((0.04, 0.04, 0.055), 1.0)], ids=['sphere', 'cap', 'spheroid'])
-def test_a_surface_that_slides_on_itself_is_refused(radii: tuple[float, ...], radius: float) -> None:
+@pytest.mark.parametrize(('radii', 'radius'),
+                         [((0.04, 0.04, 0.04), 1.0), ((0.04, 0.04, 0.04), 0.03),
+                          ((0.04, 0.04, 0.055), 1.0)],
+                         ids=['sphere', 'cap', 'spheroid'])
+def test_a_surface_that_slides_on_itself_is_refused(radii: tuple[float, ...],
+                                                    radius: float) -> None:
     mesh, field = round_field(*radii)
     points = rigid.transform(T_TRACKER_BONE, touched(400, 0, 5e-4, radius, mesh))
-    refused(register(points, field, T_tracker_bone=NEAR), Reason.UNDER_CONSTRAINED, Reason.AMBIGUOUS)
+    refused(register(points, field, T_tracker_bone=NEAR), Reason.UNDER_CONSTRAINED,
+            Reason.AMBIGUOUS)
 
 
 def test_a_plane_is_under_constrained() -> None:
     plate = trimesh.creation.box((0.3, 0.25, 0.06)).subdivide_to_size(0.01)
     rng = np.random.default_rng(0)
-    points = np.column_stack([rng.uniform(-0.03, 0.03, (1000, 2)), 0.03 + 3e-4 * rng.normal(size=1000)])
-    refused(register(rigid.transform(T_TRACKER_BONE, points), field_of(plate, 0.002), T_tracker_bone=NEAR),
-            Reason.UNDER_CONSTRAINED, Reason.AMBIGUOUS)
+    points = np.column_stack(
+        [rng.uniform(-0.03, 0.03, (1000, 2)), 0.03 + 3e-4 * rng.normal(size=1000)])
+    refused(
+        register(rigid.transform(T_TRACKER_BONE, points),
+                 field_of(plate, 0.002),
+                 T_tracker_bone=NEAR), Reason.UNDER_CONSTRAINED, Reason.AMBIGUOUS)
 
 
 any_number = st.floats(allow_nan=True, allow_infinity=True, width=64)
 garbage = st.one_of(
     hnp.arrays(np.float64, hnp.array_shapes(max_dims=3, max_side=50), elements=any_number),
     hnp.arrays(np.float64, st.tuples(st.integers(30, 60), st.just(3)), elements=any_number),
-    hnp.arrays(np.float64, st.tuples(st.integers(30, 60), st.just(3)), elements=st.floats(-0.1, 0.1)),
-    hnp.arrays(np.float64, st.tuples(st.integers(30, 60), st.just(3)), elements=st.floats(-1e300, 1e300)),
+    hnp.arrays(np.float64,
+               st.tuples(st.integers(30, 60), st.just(3)),
+               elements=st.floats(-0.1, 0.1)),
+    hnp.arrays(np.float64,
+               st.tuples(st.integers(30, 60), st.just(3)),
+               elements=st.floats(-1e300, 1e300)),
     hnp.arrays(np.int16, st.tuples(st.integers(30, 60), st.just(3))),
     st.recursive(st.none() | st.text() | any_number, st.lists, max_leaves=20))
 

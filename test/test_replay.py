@@ -31,8 +31,11 @@ def recording(field: Field, **more: object) -> Recording:
     rows = np.linspace(0, len(field.surface_points) - 1, 200).astype(int)
     points = transform(T_TRACKER_BONE, field.surface_points[rows].astype(float))
     points += np.random.default_rng(0).normal(0.0, 0.0002, points.shape)
-    return Recording(**{'positions': points, 'stamps': 1.7e9 + np.arange(200), 'frame_ids': 'tracker',
-                        'source_names': ('/probe/tip',), **more})
+    return Recording(
+        **{
+            'positions': points, 'stamps': 1.7e9
+            + np.arange(200), 'frame_ids': 'tracker', 'source_names': ('/probe/tip', ), **more
+        })
 
 
 def test_the_same_bits_twice(field: Field) -> None:
@@ -44,7 +47,8 @@ def test_the_same_bits_twice(field: Field) -> None:
 
 @pytest.mark.parametrize(('run', 'mesh'), [('optical_run', 'hip_bone'), ('em_run', 'femur_bone')])
 def test_shipped_recordings_lead_to_the_truth(run: str, mesh: str, request: pytest.FixtureRequest,
-                                              tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+                                              tmp_path: Path,
+                                              monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
     recorded, truth = request.getfixturevalue(run)
     bone = load_model(str(request.getfixturevalue(mesh)), truth.model_unit)
@@ -53,7 +57,8 @@ def test_shipped_recordings_lead_to_the_truth(run: str, mesh: str, request: pyte
     assert result.success
     assert result.T_tracker_bone.tobytes() == again.T_tracker_bone.tobytes()
     assert result.covariance.tobytes() == again.covariance.tobytes()
-    assert np.degrees(angle_between(result.T_tracker_bone[:3, :3], truth.T_tracker_bone[:3, :3])) < 1.0
+    assert np.degrees(angle_between(result.T_tracker_bone[:3, :3],
+                                    truth.T_tracker_bone[:3, :3])) < 1.0
     touched = recorded.positions.mean(axis=0)
     moved = transform(truth.T_tracker_bone @ result.T_bone_tracker, touched) - touched
     assert np.linalg.norm(moved) < 1e-3
@@ -76,7 +81,10 @@ def test_what_the_recording_dropped_is_counted(field: Field) -> None:
 def test_strokes_of_the_recording_are_kept(field: Field) -> None:
     strokes = np.repeat([7, 3, 9, 3], 50)
     config = Config.from_flat({'gate.max_gap': 100.0, 'collect.automatic': False})
-    _, session = replay(recording(field, strokes=strokes), field, config, T_tracker_bone=T_TRACKER_BONE)
+    _, session = replay(recording(field, strokes=strokes),
+                        field,
+                        config,
+                        T_tracker_bone=T_TRACKER_BONE)
     assert session.points().strokes.tolist() == np.repeat([0, 1, 2, 3], 50).tolist()
 
 

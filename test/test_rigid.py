@@ -70,7 +70,9 @@ def test_composition_chains_frames(ab: Array, bc: Array, x_c: Array) -> None:
 @LAW
 def test_inverse_undoes(twist: Array, x: Array) -> None:
     T = rigid.exp(twist)
-    np.testing.assert_allclose(rigid.transform(rigid.inverse(T), rigid.transform(T, x)), x, atol=1e-13)
+    np.testing.assert_allclose(rigid.transform(rigid.inverse(T), rigid.transform(T, x)),
+                               x,
+                               atol=1e-13)
     np.testing.assert_array_equal(rigid.inverse(T)[:3, :3], T[:3, :3].T)
 
 
@@ -101,7 +103,8 @@ def test_a_mirrored_set_gives_its_best_rotation(twist: Array) -> None:
     np.testing.assert_allclose(T[:3, :3], expected.as_matrix(), atol=1e-9)
 
 
-@pytest.mark.parametrize(('a', 'b'), [((2, 3), (2, 3)), ((4, 3), (5, 3)), ((4, 2), (4, 2)), ((3,), (3,))])
+@pytest.mark.parametrize(('a', 'b'), [((2, 3), (2, 3)), ((4, 3), (5, 3)), ((4, 2), (4, 2)),
+                                      ((3, ), (3, ))])
 def test_fit_points_refuses_what_does_not_pair(a: tuple[int, ...], b: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match='shape'):
         rigid.fit_points(np.zeros(a), np.zeros(b))
@@ -128,7 +131,8 @@ def test_half_turns_survive_as_quaternions(v: Array) -> None:
     assert rigid.angle_between(np.eye(3), R) == pytest.approx(np.pi, abs=1e-12)
 
 
-@pytest.mark.parametrize('q', [[0.0, 0.0, 0.0, 0.0], [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]])
+@pytest.mark.parametrize('q',
+                         [[0.0, 0.0, 0.0, 0.0], [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]])
 def test_a_quaternion_without_direction_is_refused(q: list[float]) -> None:
     with pytest.raises(ValueError, match='no direction'):
         rigid.rotation_from_quaternion(q)
@@ -145,8 +149,13 @@ def test_orthonormalized_is_rigid_near_and_idempotent(twist: Array, noise: Array
     np.testing.assert_allclose(rigid.orthonormalized(nearest), nearest, atol=1e-14)
 
 
-@pytest.mark.parametrize('T', [np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 2.0, 2.0, 1.0]),
-                               np.full((4, 4), np.nan), np.vstack([np.eye(4)[:3], [0.1, 0.0, 0.0, 1.0]])],
+@pytest.mark.parametrize('T', [
+    np.eye(3),
+    np.diag([1.0, 1.0, -1.0, 1.0]),
+    np.diag([2.0, 2.0, 2.0, 1.0]),
+    np.full((4, 4), np.nan),
+    np.vstack([np.eye(4)[:3], [0.1, 0.0, 0.0, 1.0]])
+],
                          ids=['3x3', 'mirrored', 'scaled', 'nan', 'projective'])
 def test_is_rigid_knows_what_is_not(T: Array) -> None:
     assert rigid.is_rigid(np.eye(4))

@@ -35,7 +35,8 @@ def bone(width: float = 0.03) -> Field:
     """Return a bone like a potato: no two of its sides are alike."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     vertices = ball.vertices * [width, 0.045, 0.07]
-    vertices *= 1.0 + 0.15 * np.exp(-20.0 * ((ball.vertices - [0.6, 0.6, 0.5])**2).sum(axis=1, keepdims=True))
+    vertices *= 1.0 + 0.15 * np.exp(-20.0 * (
+        (ball.vertices - [0.6, 0.6, 0.5])**2).sum(axis=1, keepdims=True))
     return build_field(make_bone(vertices, ball.faces), 0.002)
 
 
@@ -50,7 +51,10 @@ def touched(field: Field, count: int = 300) -> Array:
     return transform(T_TRACKER_BONE, field.surface_points[rows].astype(np.float64))
 
 
-def send(session: Session, points: Array, start: float = 0.0, **more: Any) -> list[Rejection | None]:
+def send(session: Session,
+         points: Array,
+         start: float = 0.0,
+         **more: Any) -> list[Rejection | None]:
     """Send points slowly enough for the speed gate."""
     return [session.add_point(start + i, point, 'cam', **more) for i, point in enumerate(points)]
 
@@ -86,7 +90,8 @@ def test_the_whole_job(field: Field) -> None:
     error = transform(result.T_tracker_bone, LANDMARKS) - transform(T_TRACKER_BONE, LANDMARKS)
     assert np.abs(error).max() < 2e-4
     status = session.status()
-    assert (status.state, status.reason, status.pose_frame_id) == ('registered', Reason.CONVERGED, 'cam')
+    assert (status.state, status.reason, status.pose_frame_id) == ('registered', Reason.CONVERGED,
+                                                                   'cam')
     assert status.result is status.pose_result is result
     assert result.received == status.received == 450
     assert len(session.registered_points().stamps) == len(result.residuals_m) == status.kept
@@ -97,11 +102,13 @@ def test_each_state_and_its_sentence(field: Field) -> None:
     assert session.status().state == 'no_model' and 'model.path' in session.status().message
     session.set_model(field)
     assert session.status().state == 'collecting'
-    assert session.status().message == 'collecting; 0 points in 0 strokes held; next landmark is "x"'
+    assert session.status(
+    ).message == 'collecting; 0 points in 0 strokes held; next landmark is "x"'
     session.collect(False)
     assert session.status().state == 'idle'
     session.register()
-    assert session.status().state == 'refused' and session.status().message.startswith('0 points are too few')
+    assert session.status().state == 'refused' and session.status().message.startswith(
+        '0 points are too few')
     session.collect(True)
     assert session.status().state == 'collecting'
 
@@ -167,8 +174,9 @@ def test_landmarks_are_taken_one_after_another_with_their_spread(field: Field) -
         session.add_point(i / RATE, tip[0] + offset, 'cam')
     answer = session.capture_landmark()
     assert answer.success
-    assert re.fullmatch(r'landmark "x" captured from 4[01] samples, spread 0\.(4|5)\d mm RMS; next is "y"',
-                        answer.message)
+    assert re.fullmatch(
+        r'landmark "x" captured from 4[01] samples, spread 0\.(4|5)\d mm RMS; next is "y"',
+        answer.message)
     again = session.capture_landmark()
     assert not again.success and again.message == 'the tip is still at landmark "x"; touch "y"'
     hold(session, tip[1], 10.0)
@@ -203,7 +211,8 @@ def test_unsound_samples_never_become_a_landmark(field: Field) -> None:
     assert not session.capture_landmark().success
 
 
-def test_fewer_than_three_landmarks_are_no_guess(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fewer_than_three_landmarks_are_no_guess(field: Field,
+                                                 monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr(session_module, 'register', lambda points, field, config, **given: (
         seen.append(given['landmarks']), RegistrationResult.refused(Reason.NOT_CONVERGED, 'no'))[1])
@@ -217,7 +226,8 @@ def test_fewer_than_three_landmarks_are_no_guess(field: Field, monkeypatch: pyte
 def test_verification_measures_and_judges(field: Field) -> None:
     session = registered(field)
     assert not Session(CONFIG, field).verify().success
-    surface, normal = field.surface_points[500].astype(float), field.surface_normals[500].astype(float)
+    surface, normal = field.surface_points[500].astype(float), field.surface_normals[500].astype(
+        float)
     for start, off, good, words in (
             (1000.0, 0.0005, True, '0.5 mm outside'), (1010.0, -0.001, True, '1.0 mm inside'),
             (1020.0, 0.005, False, '5.0 mm outside')):
@@ -264,12 +274,15 @@ class Paused:
     def __init__(self) -> None:
         self.running, self.release, self.cancelled = threading.Event(), threading.Event(), False
 
-    def __call__(self, points: Array, field: Field, config: Config, *, cancelled: Callable[[], bool],
-                 **_: Any) -> RegistrationResult:
+    def __call__(self, points: Array, field: Field, config: Config, *,
+                 cancelled: Callable[[], bool], **_: Any) -> RegistrationResult:
         self.running.set()
         assert self.release.wait(10.0)
         self.cancelled = cancelled()
-        return RegistrationResult(Reason.CONVERGED, 'found', T_tracker_bone=np.eye(4), used=len(points))
+        return RegistrationResult(Reason.CONVERGED,
+                                  'found',
+                                  T_tracker_bone=np.eye(4),
+                                  used=len(points))
 
 
 @pytest.fixture
@@ -329,7 +342,8 @@ def test_its_result_is_void_when_points_or_model_were_dropped(
     assert session.status().pose_result is None and session.status().state == 'collecting'
 
 
-def test_a_fault_in_the_solver_does_not_block_the_next(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_in_the_solver_does_not_block_the_next(field: Field,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> RegistrationResult:
         raise MemoryError
     session = landmarked(field)
@@ -345,13 +359,16 @@ def test_many_threads_lose_no_point(field: Field) -> None:
     session = landmarked(field)
     before = session.status().received
     points = touched(field, 200)
-    senders = [in_thread(lambda source=f'probe{k}': send(session, points, start=100.0, source=source))
-               for k in range(4)]
+    senders = [
+        in_thread(lambda source=f'probe{k}': send(session, points, start=100.0, source=source))
+        for k in range(4)
+    ]
     results = [session.register() for _ in range(5)]
     for sender in senders:
         assert sender() == [None] * 200
     status = session.status()
-    assert status.received - before == 800 and status.kept + sum(status.rejected.values()) == status.received
+    assert status.received - before == 800 and status.kept + sum(
+        status.rejected.values()) == status.received
     assert not any('running' in result.message for result in results)
     assert session.register().success
 
@@ -378,8 +395,12 @@ def test_a_session_survives_json(field: Field) -> None:
     assert np.array_equal(other.register().T_tracker_bone, session.register().T_tracker_bone)
 
 
-def test_what_is_not_known_is_null_and_comes_back(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
-    result = RegistrationResult(Reason.CONVERGED, 'found', T_tracker_bone=np.eye(4), sigma_m=float('nan'))
+def test_what_is_not_known_is_null_and_comes_back(field: Field,
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    result = RegistrationResult(Reason.CONVERGED,
+                                'found',
+                                T_tracker_bone=np.eye(4),
+                                sigma_m=float('nan'))
     monkeypatch.setattr(session_module, 'register', lambda *_, **__: result)
     session = Session(CONFIG, field)
     session.register()
@@ -402,12 +423,15 @@ def test_a_session_of_another_bone_is_refused(field: Field) -> None:
 @pytest.mark.parametrize('damage', [
     lambda r: r.pop('points'), lambda r: r['points']['stamps'].pop(),
     lambda r: r['landmarks'][0].pop('model'),
-    lambda r: r['landmarks'][0].update(tracker=[1.0, 2.0]), lambda r: r.update(result={'reason': 'magic'}),
-    lambda r: r.update(landmarks=7), lambda r: r['points']['positions'].__setitem__(0, None),
+    lambda r: r['landmarks'][0].update(tracker=[1.0, 2.0]),
+    lambda r: r.update(result={'reason': 'magic'}), lambda r: r.update(landmarks=7),
+    lambda r: r['points']['positions'].__setitem__(0, None),
     lambda r: r['pose_result'].update(T_tracker_bone=[[1.0]]),
     lambda r: r['result'].update(T_tracker_bone=None),
-    lambda r: r['pose_result'].update(covariance=[1.0])])
-def test_a_damaged_session_is_refused_and_changes_nothing(field: Field, damage: Callable[[Any], Any]) -> None:
+    lambda r: r['pose_result'].update(covariance=[1.0])
+])
+def test_a_damaged_session_is_refused_and_changes_nothing(field: Field,
+                                                          damage: Callable[[Any], Any]) -> None:
     session = registered(field)
     record = copy.deepcopy(json.loads(json.dumps(session.to_dict())))
     damage(record)

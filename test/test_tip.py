@@ -14,8 +14,13 @@ CONFIG = LandmarksConfig(dwell=0.5, radius=0.002)
 RATE = 80.0
 
 
-def hold(tip: RestingTip, at: tuple[float, float, float], start: float, seconds: float, source: int = 0,
-         sigma: float = 0.0, arrival: float | None = None) -> float:
+def hold(tip: RestingTip,
+         at: tuple[float, float, float],
+         start: float,
+         seconds: float,
+         source: int = 0,
+         sigma: float = 0.0,
+         arrival: float | None = None) -> float:
     """Hold the tip still and return the time after it."""
     noise = np.random.default_rng(1).normal(0.0, sigma, (round(seconds * RATE) + 1, 3))
     for i, offset in enumerate(noise):
@@ -54,7 +59,8 @@ def test_a_tip_that_was_never_seen_does_not_rest() -> None:
 def test_a_tip_that_moves_is_refused_with_how_far() -> None:
     tip = RestingTip(CONFIG)
     move(tip, 0.0, 2.0)
-    with pytest.raises(InputError, match=r'the tip moves: 25\.0 mm within the last 0\.5 s, 2\.0 mm allowed'):
+    with pytest.raises(InputError,
+                       match=r'the tip moves: 25\.0 mm within the last 0\.5 s, 2\.0 mm allowed'):
         tip.rest()
 
 

@@ -34,7 +34,9 @@ def modules() -> list[str]:
 
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, '-c', WITHOUT_ROS + code], capture_output=True, text=True)
+    return subprocess.run([sys.executable, '-c', WITHOUT_ROS + code],
+                          capture_output=True,
+                          text=True)
 
 
 def test_the_hook_hides_ros() -> None:
@@ -44,8 +46,10 @@ def test_the_hook_hides_ros() -> None:
 
 def test_every_module_but_the_node_imports_without_ros() -> None:
     names = modules()
-    assert {'gsdf_registration.registration', 'gsdf_registration.session', 'gsdf_registration.replay',
-            'gsdf_registration.cli.main', 'msg_adapters.bag'} <= set(names)
+    assert {
+        'gsdf_registration.registration', 'gsdf_registration.session', 'gsdf_registration.replay',
+        'gsdf_registration.cli.main', 'msg_adapters.bag'
+    } <= set(names)
     done = run(f'for name in {names!r}: importlib.import_module(name)')
     assert done.returncode == 0, done.stderr
 
@@ -53,6 +57,7 @@ def test_every_module_but_the_node_imports_without_ros() -> None:
 @pytest.mark.parametrize('room', ['gsdf_registration.rigid', 'gsdf_registration.registration',
                                   'gsdf_registration.session', 'gsdf_registration.field'])
 def test_the_algorithms_know_no_files_and_no_messages(room: str) -> None:
-    done = run(f'importlib.import_module({room!r}); print({{name.split(".")[0] for name in sys.modules}} '
-               '& {"msg_adapters", "rosbags", "trimesh", "mcap"})')
+    done = run(
+        f'importlib.import_module({room!r}); print({{name.split(".")[0] for name in sys.modules}} '
+        '& {"msg_adapters", "rosbags", "trimesh", "mcap"})')
     assert done.stdout.strip() == 'set()', done.stdout + done.stderr

@@ -12,7 +12,11 @@ BENCHES = ('field', 'solve')
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the subcommand with one of its own for each bench; a bench is a file ``bench_<name>.py`` here."""
+    """
+    Add the subcommand with one of its own for each bench.
+
+    A bench is a file ``bench_<name>.py`` here.
+    """
     parser = subparsers.add_parser(
         'bench', help='measure speed and accuracy beside other libraries',
         description='Measure speed and accuracy beside other libraries, in the same run.',

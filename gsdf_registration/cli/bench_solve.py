@@ -44,16 +44,27 @@ class Row:
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'solve', help='time the solver beside small_gicp and Open3D',
-        description='Time the local solver from three landmarks that are 4 mm off, beside the point-to-plane '
+        'solve',
+        help='time the solver beside small_gicp and Open3D',
+        description=
+        'Time the local solver from three landmarks that are 4 mm off, beside the point-to-plane '
         'ICPs of small_gicp and Open3D; one thread each, model and search trees prepared beforehand.',
         **example('gsdf bench solve --bones ~/bones'))
-    parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
-                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, '
-                        'else those that come along)')
+    parser.add_argument(
+        '--bones',
+        metavar='DIR',
+        default=os.environ.get('GSDF_BONES_DIR'),
+        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, '
+        'else those that come along)')
     parser.add_argument('--points', type=int, default=1000, help='touched points (default: 1000)')
-    parser.add_argument('--solves', type=int, default=60, help='problems on each bone (default: 60)')
-    parser.add_argument('--seed', type=int, default=0, help='of points, noise and landmarks (default: 0)')
+    parser.add_argument('--solves',
+                        type=int,
+                        default=60,
+                        help='problems on each bone (default: 60)')
+    parser.add_argument('--seed',
+                        type=int,
+                        default=0,
+                        help='of points, noise and landmarks (default: 0)')
     parser.set_defaults(run=run)
 
 
@@ -62,9 +73,12 @@ def run(args: argparse.Namespace) -> int:
     os.environ['OMP_NUM_THREADS'] = '1'     # before the peers are imported
     from gsdf_registration.model import load_model
 
-    print(f'{args.points} points within {1e3 * EXPOSED:.0f} mm, noise {1e3 * NOISE:.1f} mm, '
-          f'landmarks {1e3 * LANDMARK_ERROR:.0f} mm off, {args.solves} problems a bone; one thread\n')
-    print(f'{"bone":<20}{"method":<30}{"median ms":>10}{"p95 ms":>10}{"iterations":>12}{"TRE rms mm":>12}')
+    print(
+        f'{args.points} points within {1e3 * EXPOSED:.0f} mm, noise {1e3 * NOISE:.1f} mm, '
+        f'landmarks {1e3 * LANDMARK_ERROR:.0f} mm off, {args.solves} problems a bone; one thread\n')
+    print(
+        f'{"bone":<20}{"method":<30}{"median ms":>10}{"p95 ms":>10}{"iterations":>12}{"TRE rms mm":>12}'
+    )
     for file in bones(args.bones):
         measure(file.stem, load_model(str(file)), args.points, args.solves, args.seed)
     return 0
@@ -73,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
 def bones(folder: str | None) -> list[Path]:
     """Return the meshes to measure on."""
     from gsdf_registration.model import find_model
-    found = sorted(file for file in (Path(folder) if folder else find_model(SHIPPED).parent).iterdir()
+    found = sorted(file
+                   for file in (Path(folder) if folder else find_model(SHIPPED).parent).iterdir()
                    if file.suffix.lower() in ('.ply', '.stl', '.obj', '.off'))
     if not found:
         raise InputError(f'{folder} holds no mesh; give a folder of PLY, STL, OBJ or OFF files')
@@ -90,7 +105,8 @@ def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None
     near = best_patch(surface, normals, seed)
     methods = {f'gradient-SDF, {method}': ours(bone, method) for method in ('paper', 'mixture')}
     missing: dict[str, str] = {}
-    for peer, prepare in (('small_gicp, point-to-plane', small_gicp), ('Open3D, plane, Tukey', open3d)):
+    for peer, prepare in (('small_gicp, point-to-plane', small_gicp), ('Open3D, plane, Tukey',
+                                                                       open3d)):
         try:
             methods[peer] = prepare(surface, normals)
         except (ImportError, OSError) as no:
@@ -103,7 +119,8 @@ def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None
             T_bone_tracker, iterations, seconds = align(touched, rigid.inverse(guess))
             if problem == 0:
                 continue    # the first one compiles and warms up
-            off = rigid.transform(T_bone_tracker @ T_tracker_bone, bone.surface_points) - bone.surface_points
+            off = rigid.transform(T_bone_tracker @ T_tracker_bone,
+                                  bone.surface_points) - bone.surface_points
             rows[method].seconds.append(seconds)
             rows[method].iterations.append(iterations)
             rows[method].squared_tre.append(float((off**2).sum(axis=1).mean()))
@@ -128,7 +145,11 @@ def sampled(bone: Field, seed: int) -> tuple[Array, Array]:
 
 
 def best_patch(surface: Array, normals: Array, seed: int) -> np.ndarray:
-    """Return the indices of the ball that holds a pose best, of 50: nothing can be done with a bare shaft."""
+    """
+    Return the indices of the ball that holds a pose best, of 50.
+
+    Nothing can be done with a bare shaft.
+    """
     import numpy as np
 
     candidates = []
@@ -137,10 +158,12 @@ def best_patch(surface: Array, normals: Array, seed: int) -> np.ndarray:
         arms = (surface[near] - surface[near].mean(axis=0)) / EXPOSED
         J = np.hstack([np.cross(arms, normals[near]), normals[near]])
         candidates.append((float(np.linalg.eigvalsh(J.T @ J / len(near))[0]), near))
-    return np.random.default_rng(seed).permutation(max(candidates, key=lambda candidate: candidate[0])[1])
+    return np.random.default_rng(seed).permutation(
+        max(candidates, key=lambda candidate: candidate[0])[1])
 
 
-def drawn(surface: Array, near: np.ndarray, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def drawn(surface: Array, near: np.ndarray, n: int,
+          rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Return a true pose, touched points (n, 3) in the tracker frame, and the guess from three landmarks."""
     import numpy as np
 
@@ -157,7 +180,9 @@ def drawn(surface: Array, near: np.ndarray, n: int, rng: np.random.Generator) ->
 
 
 def landmark_places(surface: Array, centre: Array) -> Array:
-    """Return three points (3, 3) of the surface within reach, far from one another and from one line."""
+    """
+    Return three points (3, 3) of the surface within reach, far from one another and from one line.
+    """
     import numpy as np
 
     within = surface[np.linalg.norm(surface - centre, axis=1) < LANDMARKS_WITHIN]
@@ -190,15 +215,24 @@ def small_gicp(surface: Array, normals: Array) -> Aligner:
     def align(points: Array, guess: Array) -> tuple[Array, float, float]:
         source = gicp.PointCloud(points)
         start = perf_counter()
-        result = gicp.align(target, source, tree, guess, registration_type='PLANE_ICP', num_threads=1,
-                            max_iterations=100, max_correspondence_distance=REACH,
-                            rotation_epsilon=1e-4, translation_epsilon=1e-5)
+        result = gicp.align(target,
+                            source,
+                            tree,
+                            guess,
+                            registration_type='PLANE_ICP',
+                            num_threads=1,
+                            max_iterations=100,
+                            max_correspondence_distance=REACH,
+                            rotation_epsilon=1e-4,
+                            translation_epsilon=1e-5)
         return result.T_target_source, result.iterations, perf_counter() - start
     return align
 
 
 def open3d(surface: Array, normals: Array) -> Aligner:
-    """Return Open3D's point-to-plane ICP; the tree it builds at every call is timed and taken off."""
+    """
+    Return Open3D's point-to-plane ICP; the tree it builds at every call is timed and taken off.
+    """
     import numpy as np
     import open3d as o3d
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
@@ -206,7 +240,9 @@ def open3d(surface: Array, normals: Array) -> Aligner:
     target = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(surface))
     target.normals = o3d.utility.Vector3dVector(normals)
     estimation = icp.TransformationEstimationPointToPlane(icp.TukeyLoss(k=3e-3))
-    criteria = icp.ICPConvergenceCriteria(relative_fitness=1e-7, relative_rmse=1e-7, max_iteration=100)
+    criteria = icp.ICPConvergenceCriteria(relative_fitness=1e-7,
+                                          relative_rmse=1e-7,
+                                          max_iteration=100)
 
     def align(points: Array, guess: Array) -> tuple[Array, float, float]:
         source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))

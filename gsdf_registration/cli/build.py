@@ -13,10 +13,15 @@ from gsdf_registration.cli.common import example
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'build', help='build the gradient-SDF of a bone model',
-        description='Build the gradient-SDF of a bone model, once: it is kept in the cache, and written to a '
-        'file if you say so.', **example('gsdf build hip.stl --model-unit mm -o hip.gsdf'))
-    parser.add_argument('model', metavar='MODEL', help='STL, PLY, OBJ, OFF, or a point cloud with normals')
+        'build',
+        help='build the gradient-SDF of a bone model',
+        description=
+        'Build the gradient-SDF of a bone model, once: it is kept in the cache, and written to a '
+        'file if you say so.',
+        **example('gsdf build hip.stl --model-unit mm -o hip.gsdf'))
+    parser.add_argument('model',
+                        metavar='MODEL',
+                        help='STL, PLY, OBJ, OFF, or a point cloud with normals')
     parser.add_argument('--model-unit', choices=('mm', 'm'), default='mm',
                         help='unit of the lengths in MODEL (default: mm)')
     parser.add_argument('--voxel', type=float, default=1.0, metavar='MM',
@@ -40,5 +45,6 @@ def run(args: argparse.Namespace) -> int:
         save_field(field, args.output)
     size = ' x '.join(f'{1e3 * side:.0f}' for side in field.bounds[1] - field.bounds[0])
     print(f'{args.model}: {size} mm, field of {1e3 * field.voxel_size:g} mm voxels, '
-          f'{1e-6 * field.nbytes:.1f} MB, {seconds:.2f} s' + (f', in {args.output}' if args.output else ''))
+          f'{1e-6 * field.nbytes:.1f} MB, {seconds:.2f} s'
+          + (f', in {args.output}' if args.output else ''))
     return 0

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the subcommands share: options, and reading what they name; heavy modules are imported in use."""
+"""
+What the subcommands share: options, and reading what they name; heavy modules are imported in use.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +25,27 @@ if TYPE_CHECKING:
 
 def example(text: str) -> dict[str, Any]:
     """Return the parser arguments that show an example below the help."""
-    return {'epilog': f'example:\n  {text}', 'formatter_class': argparse.RawDescriptionHelpFormatter}
+    return {
+        'epilog': f'example:\n  {text}', 'formatter_class': argparse.RawDescriptionHelpFormatter
+    }
 
 
 def add_registration_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `register` and `replay` have in common."""
     parser.add_argument('--model-unit', choices=('mm', 'm'),
                         help='unit of the lengths in MODEL (default: mm)')
-    parser.add_argument('--landmarks', metavar='FILE',
-                        help='touched landmarks for a first guess: CSV with header name,model_x,model_y,'
-                        'model_z,tracker_x,tracker_y,tracker_z, or the ground truth YAML of a recording')
-    parser.add_argument('--initial', metavar='JSON', help='first guess: {"T_tracker_bone": 4x4, metres}')
+    parser.add_argument(
+        '--landmarks',
+        metavar='FILE',
+        help='touched landmarks for a first guess: CSV with header name,model_x,model_y,'
+        'model_z,tracker_x,tracker_y,tracker_z, or the ground truth YAML of a recording')
+    parser.add_argument('--initial',
+                        metavar='JSON',
+                        help='first guess: {"T_tracker_bone": 4x4, metres}')
     parser.add_argument('--config', metavar='YAML', help='settings, as in config/registration.yaml')
-    parser.add_argument('--json', metavar='OUT', help='write the outcome as JSON; - for standard output')
+    parser.add_argument('--json',
+                        metavar='OUT',
+                        help='write the outcome as JSON; - for standard output')
     parser.add_argument('--report', metavar='OUT.html', help='write a page to look at: what was '
                         'found, how good it is, the points on the bone (needs the extra "report")')
 
@@ -73,7 +83,8 @@ def effective_config(args: argparse.Namespace) -> Config:
 
 def field_or_refusal(config: Config) -> Field | Refusal:
     """
-    Return the bone of the settings, or that its size is not a bone's, which is an answer and no error.
+    Return the bone of the settings, or that its size is not a bone's, which is an answer and no
+    error.
 
     Raises
     ------
@@ -103,10 +114,12 @@ def read_initial(path: str | None) -> Array | None:
     except json.JSONDecodeError as error:
         raise InputError(f'{path}, line {error.lineno}: this is no valid JSON') from None
     except (KeyError, TypeError, ValueError, RecursionError):
-        raise InputError(f'{path} holds no pose; give {{"T_tracker_bone": [4 rows of 4 numbers]}}') from None
+        raise InputError(
+            f'{path} holds no pose; give {{"T_tracker_bone": [4 rows of 4 numbers]}}') from None
     if not is_rigid(T, tolerance=1e-3):
-        raise InputError(f'{path}: T_tracker_bone is not a rigid motion; give a 4x4 of a rotation and a '
-                         'translation in metres')
+        raise InputError(
+            f'{path}: T_tracker_bone is not a rigid motion; give a 4x4 of a rotation and a '
+            'translation in metres')
     return orthonormalized(T)
 
 
@@ -124,7 +137,9 @@ def read_landmark_pairs(path: str | None, model_unit: str, unit: str) -> Landmar
 
 
 def sha256_of(path: str) -> str:
-    """Return the SHA-256 of a file, or of all files of a bag directory in the order of their names."""
+    """
+    Return the SHA-256 of a file, or of all files of a bag directory in the order of their names.
+    """
     root = Path(path)
     digest = hashlib.sha256()
     for file in sorted(p for p in root.iterdir() if p.is_file()) if root.is_dir() else [root]:

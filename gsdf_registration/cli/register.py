@@ -31,7 +31,10 @@ def add_parser(subparsers: Any) -> None:
                         help='STL, PLY, OBJ, OFF, a .gsdf field, or a point cloud with normals')
     parser.add_argument('points', metavar='POINTS',
                         help='CSV with header x,y,z; an NDI tracker CSV; PLY or XYZ')
-    parser.add_argument('--unit', choices=('mm', 'm'), required=True, help='unit of the lengths in POINTS')
+    parser.add_argument('--unit',
+                        choices=('mm', 'm'),
+                        required=True,
+                        help='unit of the lengths in POINTS')
     common.add_registration_options(parser)
     parser.set_defaults(run=run)
 
@@ -74,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
 def registered(recording: Recording, field: Field, config: Config, landmarks: LandmarkPairs | None,
                T_tracker_bone: Array | None) -> tuple[RegistrationResult, Array, dict[str, int]]:
     """
-    Register the points of a file: with stamps as the node would have done, without them as they are.
+    Register the points of a file: with stamps as the node would have done, without them as they
+    are.
 
     Also return the points the result speaks of, and how many were not believed, by cause.
     """
@@ -90,6 +94,7 @@ def registered(recording: Recording, field: Field, config: Config, landmarks: La
         result = register(points, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone)
         return (dataclasses.replace(result, received=len(recording)), points,
                 {str(Rejection.NOT_FINITE): int((~finite).sum())})
-    recording.frame_ids = [config.probe.frame_id] * len(recording)     # a file of points names no frame
+    # a file of points names no frame
+    recording.frame_ids = [config.probe.frame_id] * len(recording)
     result, session = replay(recording, field, config, landmarks, T_tracker_bone)
     return result, session.points().positions, session.status().rejected

@@ -27,17 +27,25 @@ if TYPE_CHECKING:
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'replay', help='register recordings (rosbag2) offline',
-        description='Put each recording through the same session as the ROS node does, without ROS, and '
+        'replay',
+        help='register recordings (rosbag2) offline',
+        description=
+        'Put each recording through the same session as the ROS node does, without ROS, and '
         'register. Where the ground truth lies beside a bag (YAML of the same name), the true error is told.',
         **common.example('gsdf replay bags/hip_optical --model bags/hip.ply '
                          '--landmarks bags/hip_optical.yaml'))
-    parser.add_argument('bags', metavar='BAG', nargs='+', help='rosbag2 directory, or its .mcap or .db3 file')
+    parser.add_argument('bags',
+                        metavar='BAG',
+                        nargs='+',
+                        help='rosbag2 directory, or its .mcap or .db3 file')
     parser.add_argument('--model', required=True, metavar='MODEL',
                         help='STL, PLY, OBJ, OFF, a .gsdf field, or a point cloud with normals')
     parser.add_argument('--unit', choices=('mm', 'm'), default='m',
                         help='unit of the tracker columns of --landmarks (default: m, as in bags)')
-    parser.add_argument('--topic', action='append', metavar='T', help='topic of the tip; may be repeated')
+    parser.add_argument('--topic',
+                        action='append',
+                        metavar='T',
+                        help='topic of the tip; may be repeated')
     parser.add_argument('--jobs', type=_positive, default=1, metavar='N',
                         help='recordings worked on at a time (default: 1)')
     common.add_registration_options(parser)
@@ -92,7 +100,9 @@ def run(args: argparse.Namespace) -> int:
         if failed and not several:
             raise InputError(outcome.text)
         told = 'gsdf: error: ' if failed else f'{bag}: ' if several else ''
-        print(told + outcome.text, file=sys.stderr if failed or args.json == '-' else sys.stdout, flush=True)
+        print(told + outcome.text,
+              file=sys.stderr if failed or args.json == '-' else sys.stdout,
+              flush=True)
         outcomes.append(outcome)
     documents = [outcome.document for outcome in outcomes]
     common.write_json(args.json, documents if several else documents[0])

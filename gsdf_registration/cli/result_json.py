@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A result as JSON, "gsdf-registration/1": every key always there, null where nothing is known; SI."""
+"""
+A result as JSON, "gsdf-registration/1": every key always there, null where nothing is known; SI.
+"""
 
 from __future__ import annotations
 
@@ -61,4 +63,7 @@ def _bone_pose(result: RegistrationResult, frame_id: str) -> dict[str, Any] | No
     if result.T_tracker_bone is None:
         return None
     T = result.T_tracker_bone
-    return {'frame_id': frame_id, 'position': T[:3, 3], 'orientation': quaternion_from_rotation(T[:3, :3])}
+    return {
+        'frame_id': frame_id, 'position': T[:3, 3],
+        'orientation': quaternion_from_rotation(T[:3, :3])
+    }

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`gsdf simulate`: a probe dragged over a bone, recorded as a bag with its ground truth beside it."""
+"""
+`gsdf simulate`: a probe dragged over a bone, recorded as a bag with its ground truth beside it.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,8 @@ Number = TypeVar('Number', int, float)
 START = 1_750_000_000.0     # s; stamps like those of a clock, the same in every run
 RESOLUTION = 1e-5           # m; trackers report hundredths of a millimetre
 # what the truth says of how it was made
-ABOUT = ('region', 'points', 'rate', 'speed', 'sigma', 'distortion', 'outliers', 'interference', 'dropouts',
-         'seed')
+ABOUT = ('region', 'points', 'rate', 'speed', 'sigma', 'distortion', 'outliers', 'interference',
+         'dropouts', 'seed')
 EXAMPLE = """\
 examples:
   gsdf simulate hip.ply --region acetabulum --points 600 --outliers 0.05 -o hip_run
@@ -34,32 +36,69 @@ examples:
 def add_parser(subparsers: Any) -> None:
     """Declare the subcommand."""
     parser = subparsers.add_parser(
-        'simulate', help='record a simulated probe run over a bone, with its ground truth',
-        description='Drag a probe over a bone and record it as a rosbag2 (mcap), with the ground truth in a '
-                    'YAML of the same name. The same arguments give the same bytes.',
-        epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter)
+        'simulate',
+        help='record a simulated probe run over a bone, with its ground truth',
+        description=
+        'Drag a probe over a bone and record it as a rosbag2 (mcap), with the ground truth in a '
+        'YAML of the same name. The same arguments give the same bytes.',
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('model', help='mesh of the bone (STL, PLY, OBJ, OFF)')
-    parser.add_argument('--region', required=True, metavar='NAME|X,Y,Z,RADIUS',
-                        help=f'what the wound exposes: {", ".join(REGIONS)}, or a ball in units of the model')
-    parser.add_argument('-o', '--output', required=True, metavar='BAG', help='directory of the new bag')
-    parser.add_argument('--model-unit', choices=('mm', 'm'), default='mm', help='(default: %(default)s)')
-    parser.add_argument('--points', type=int, default=600, metavar='N',
-                        help='samples on the bone; interference comes on top (default: %(default)s)')
-    parser.add_argument('--rate', type=float, default=80.0, metavar='HZ', help='(default: %(default)s)')
+    parser.add_argument(
+        '--region',
+        required=True,
+        metavar='NAME|X,Y,Z,RADIUS',
+        help=f'what the wound exposes: {", ".join(REGIONS)}, or a ball in units of the model')
+    parser.add_argument('-o',
+                        '--output',
+                        required=True,
+                        metavar='BAG',
+                        help='directory of the new bag')
+    parser.add_argument('--model-unit',
+                        choices=('mm', 'm'),
+                        default='mm',
+                        help='(default: %(default)s)')
+    parser.add_argument(
+        '--points',
+        type=int,
+        default=600,
+        metavar='N',
+        help='samples on the bone; interference comes on top (default: %(default)s)')
+    parser.add_argument('--rate',
+                        type=float,
+                        default=80.0,
+                        metavar='HZ',
+                        help='(default: %(default)s)')
     parser.add_argument('--speed', type=float, default=27.0, metavar='MM/S',
                         help='median speed of the tip (default: %(default)s)')
     parser.add_argument('--sigma', default='0.15', metavar='MM|X,Y,Z',
                         help='noise per axis of the tracker (default: %(default)s)')
-    parser.add_argument('--distortion', type=float, default=0.0, metavar='MM',
-                        help='smooth distortion, as of an electromagnetic field, RMS (default: none)')
-    parser.add_argument('--outliers', type=float, default=0.0, metavar='SHARE',
-                        help="share of all samples that lie anywhere in the model's box (default: none)")
+    parser.add_argument(
+        '--distortion',
+        type=float,
+        default=0.0,
+        metavar='MM',
+        help='smooth distortion, as of an electromagnetic field, RMS (default: none)')
+    parser.add_argument(
+        '--outliers',
+        type=float,
+        default=0.0,
+        metavar='SHARE',
+        help="share of all samples that lie anywhere in the model's box (default: none)")
     parser.add_argument('--interference', default='', metavar='KIND:SHARE,...',
                         help='soft_tissue, lift_off, other_object, resting, each with its share')
-    parser.add_argument('--dropouts', type=float, default=0.0, metavar='SHARE',
-                        help='share of the samples on the bone that the tracker misses (default: none)')
-    parser.add_argument('--landmark', action='append', default=[], metavar='NAME=X,Y,Z',
-                        help='a model point to be touched first, missed by 2 to 4 mm; may be repeated')
+    parser.add_argument(
+        '--dropouts',
+        type=float,
+        default=0.0,
+        metavar='SHARE',
+        help='share of the samples on the bone that the tracker misses (default: none)')
+    parser.add_argument(
+        '--landmark',
+        action='append',
+        default=[],
+        metavar='NAME=X,Y,Z',
+        help='a model point to be touched first, missed by 2 to 4 mm; may be repeated')
     parser.add_argument('--frame-id', default='tracker', help='(default: %(default)s)')
     parser.add_argument('--seed', type=int, default=0, help='(default: %(default)s)')
     parser.set_defaults(run=run)
@@ -80,17 +119,25 @@ def run(args: argparse.Namespace) -> int:
     T[:3, 3] += np.array([0.0, 0.0, -1.3]) - T[:3, :3] @ patch.centre   # where cameras see well
     settings: dict[str, Any] = {'tracker': tracker, 'T_tracker_bone': T}
     touched = rest(places, rng, **settings)
-    run_ = drag(patch, _at_least(30, args.points, '--points'), rng, interference=_interference(args),
-                hand=Hand(speed=_at_least(1.0, args.speed, '--speed') * 1e-3), **settings)
-    means = np.array([touched.positions[touched.strokes == k].mean(axis=0) for k in range(len(names))])
+    run_ = drag(patch,
+                _at_least(30, args.points, '--points'),
+                rng,
+                interference=_interference(args),
+                hand=Hand(speed=_at_least(1.0, args.speed, '--speed') * 1e-3),
+                **settings)
+    means = np.array(
+        [touched.positions[touched.strokes == k].mean(axis=0) for k in range(len(names))])
     _write_bag(args, touched, run_)
     about = {option: getattr(args, option) for option in ABOUT}
     about['outlier_share'] = round(1.0 - float(run_.on_bone.mean()), 4)
-    write_truth(truth_path(args.output), Truth(
-        _relative(args.model, args.output), args.model_unit, args.frame_id, T, tuple(names), places.round(7),
-        means.reshape(-1, 3).round(7), about))
-    print(f'{args.output}: {len(run_.stamps)} points in {run_.stamps[-1]:.1f} s, {int(run_.on_bone.sum())} '
-          f'of them on the bone, {len(names)} landmarks; truth in {truth_path(args.output)}')
+    write_truth(
+        truth_path(args.output),
+        Truth(_relative(args.model, args.output), args.model_unit, args.frame_id, T, tuple(names),
+              places.round(7),
+              means.reshape(-1, 3).round(7), about))
+    print(
+        f'{args.output}: {len(run_.stamps)} points in {run_.stamps[-1]:.1f} s, {int(run_.on_bone.sum())} '
+        f'of them on the bone, {len(names)} landmarks; truth in {truth_path(args.output)}')
     return 0
 
 
@@ -101,7 +148,8 @@ def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag) -> None:
     with BagWriter(args.output) as bag:
         start = START
         for topic, part in ((LANDMARK_TOPIC, touched), (TIP_TOPIC, run_)):
-            for stamp, position in zip(part.stamps, (part.positions / RESOLUTION).round() * RESOLUTION):
+            for stamp, position in zip(part.stamps,
+                                       (part.positions / RESOLUTION).round() * RESOLUTION):
                 bag.write_point(topic, round(start + float(stamp), 6), position, args.frame_id)
             start += 3.0 + float(part.stamps.max(initial=0.0))
 
@@ -135,7 +183,9 @@ def _tracker(args: argparse.Namespace) -> Tracker:
     x, y, z = sigma if len(sigma) == 3 else 3 * sigma
     if min(x, y, z) < 0.0 or not 0.0 <= args.dropouts < 0.9:
         raise InputError('--sigma must not be negative and --dropouts must lie in [0, 0.9)')
-    return Tracker(rate=_at_least(1.0, args.rate, '--rate'), sigma=(x, y, z), dropouts=args.dropouts,
+    return Tracker(rate=_at_least(1.0, args.rate, '--rate'),
+                   sigma=(x, y, z),
+                   dropouts=args.dropouts,
                    distortion=_at_least(0.0, args.distortion, '--distortion') * 1e-3)
 
 
@@ -146,7 +196,8 @@ def _interference(args: argparse.Namespace) -> Interference:
     for word in filter(None, args.interference.split(',')):
         kind, _, share = word.partition(':')
         if kind not in STRUCTURED:
-            raise InputError(f'--interference: "{kind}" is not known; say one of {", ".join(STRUCTURED)}')
+            raise InputError(
+                f'--interference: "{kind}" is not known; say one of {", ".join(STRUCTURED)}')
         shares[kind] = float(_numbers(share, 1, f'--interference {kind}')[0])
     return Interference(**shares)
 
@@ -171,7 +222,8 @@ def _numbers(text: str, count: int, option: str) -> Array:
     except ValueError:
         numbers = np.zeros(0)
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise InputError(f'{option} must be {count} number{"s" * (count > 1)} between commas, not "{text}"')
+        raise InputError(
+            f'{option} must be {count} number{"s" * (count > 1)} between commas, not "{text}"')
     return numbers
 
 

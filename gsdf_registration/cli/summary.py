@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A result in a few readable lines; the residual is not among them, because it is not the accuracy."""
+"""
+A result in a few readable lines; the residual is not among them, because it is not the accuracy.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from gsdf_registration.result import RegistrationResult
 from gsdf_registration.rigid import Array, angle_between, transform
 
 
-def summary(result: RegistrationResult, frame_id: str = '', rejected: Mapping[str, int] | None = None) -> str:
+def summary(result: RegistrationResult,
+            frame_id: str = '',
+            rejected: Mapping[str, int] | None = None) -> str:
     """
     Return the outcome: what was decided, where the bone is, how well that is known.
 
@@ -26,7 +30,8 @@ def summary(result: RegistrationResult, frame_id: str = '', rejected: Mapping[st
     if T is None:
         return _table(f'refused ({result.reason}): {result.message}', rows)
     return _table(f'registered: {result.message}', [
-        ('position', _numbers(1e3 * T[:3, 3]) + ' mm' + (f' in frame "{frame_id}"' if frame_id else '')),
+        ('position', _numbers(1e3 * T[:3, 3]) + ' mm' +
+         (f' in frame "{frame_id}"' if frame_id else '')),
         ('rotation', _numbers(Rotation.from_matrix(T[:3, :3]).as_euler('xyz', degrees=True))
          + ' deg about the fixed axes x, y, z'),
         ('points', f'{result.received} received, {result.used} used, {result.inliers} inliers'),
@@ -36,7 +41,11 @@ def summary(result: RegistrationResult, frame_id: str = '', rejected: Mapping[st
 
 
 def true_error(result: RegistrationResult, field: Field, truth: Array) -> str:
-    """Return how far the pose is from the true one, in one line; TRE over the whole surface of the bone."""
+    """
+    Return how far the pose is from the true one, in one line.
+
+    TRE over the whole surface of the bone.
+    """
     T = result.T_tracker_bone
     if T is None:
         return 'none, there is no pose'

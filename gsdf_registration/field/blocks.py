@@ -2,9 +2,9 @@
 """
 The fine nodes: the compiled loop where the build spends its time.
 
-For every block the triangles that may be nearest are gathered, for every group of its nodes narrowed, and
-measured at all nodes of the group at a time, to choose the one from which the sample is computed in
-double precision.
+For every block the triangles that may be nearest are gathered, for every group of its nodes
+narrowed, and measured at all nodes of the group at a time, to choose the one from which the sample
+is computed in double precision.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest)
     nearest : (n, 2, 2, 2) int32, filled with the triangles nearest to the corners
 
     """
-    # what passes into the inner loops are plain arrays: those of a tuple are counted in and out every time
+    # what passes into the inner loops are plain arrays: those of a tuple are counted in and out
+    # every time
     triangle, axes, normal = tree.triangle, tree.axes, tree.normal
     room = len(triangle)
     candidate = np.empty(room, np.int32)
@@ -51,9 +52,9 @@ def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest)
         reach = (distances[b] + math.sqrt(3.0) * CELLS * voxel) * (1.0 + 1e-6)
         n = gather(tree, centre, reach, candidate, ball, corner)
         for g in range(len(GROUPS)):
-            if (GROUPS[g, 3:].max() > CELLS
-                    and block_of[cells[b, 0] + GROUPS[g, 0] // CELLS, cells[b, 1] + GROUPS[g, 1] // CELLS,
-                                 cells[b, 2] + GROUPS[g, 2] // CELLS] >= 0):
+            if (GROUPS[g, 3:].max() > CELLS and block_of[cells[b, 0] + GROUPS[g, 0] // CELLS,
+                                                         cells[b, 1] + GROUPS[g, 1] // CELLS,
+                                                         cells[b, 2] + GROUPS[g, 2] // CELLS] >= 0):
                 continue
             m = narrow(triangle, candidate, ball, n, centre, voxel, g, bound, chosen)
             _place(voxel, g, lanes)
@@ -68,7 +69,8 @@ def copy_far_sides(block_of, cells, first, last, blocks):
         for g in range(len(GROUPS)):
             if GROUPS[g, 3:].max() == CELLS:
                 continue
-            owner = block_of[cells[b, 0] + GROUPS[g, 0] // CELLS, cells[b, 1] + GROUPS[g, 1] // CELLS,
+            owner = block_of[cells[b, 0] + GROUPS[g, 0] // CELLS,
+                             cells[b, 1] + GROUPS[g, 1] // CELLS,
                              cells[b, 2] + GROUPS[g, 2] // CELLS]
             if owner < 0:
                 continue
@@ -76,7 +78,8 @@ def copy_far_sides(block_of, cells, first, last, blocks):
                 for j in range(GROUPS[g, 1], GROUPS[g, 4]):
                     for k in range(GROUPS[g, 2], GROUPS[g, 5]):
                         for a in range(4):
-                            blocks[b, i, j, k, a] = blocks[owner, i % CELLS, j % CELLS, k % CELLS, a]
+                            blocks[b, i, j, k, a] = blocks[owner, i % CELLS, j % CELLS, k % CELLS,
+                                                           a]
 
 
 @compiled

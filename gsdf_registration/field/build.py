@@ -18,8 +18,9 @@ def build_field(bone: Bone, voxel_size: float = 0.001, threads: int = 0) -> Fiel
     """
     Build the gradient-SDF of a bone.
 
-    The fine nodes, in all blocks with a point within three voxels of the surface, hold exact distances to
-    it; the coarse ones beyond may be off by a little.  The bits do not depend on the number of threads.
+    The fine nodes, in all blocks with a point within three voxels of the surface, hold exact
+    distances to it; the coarse ones beyond may be off by a little.  The bits do not depend on the
+    number of threads.
 
     Parameters
     ----------
@@ -46,5 +47,5 @@ def build_field(bone: Bone, voxel_size: float = 0.001, threads: int = 0) -> Fiel
     else:
         arrays, points, normals = fill_from_mesh(grid, bone.vertices, bone.faces, threads)
         faces = bone.faces
-    return Field(arrays, bone.sha256, bone.bounds, points, normals, bone.vertices.astype(np.float32), faces,
-                 bone.notes)
+    return Field(arrays, bone.sha256, bone.bounds, points, normals,
+                 bone.vertices.astype(np.float32), faces, bone.notes)

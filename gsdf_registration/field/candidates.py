@@ -2,9 +2,9 @@
 """
 Which triangles may be nearest to a node, and which one is.
 
-A block gathers all triangles within reach, a group of its nodes chooses among them by their bounding
-balls, and the distances to the rest are taken in single precision, for one node in each lane of the
-vector unit: within a few millimetres they are good to a nanometre.
+A block gathers all triangles within reach, a group of its nodes chooses among them by their
+bounding balls, and the distances to the rest are taken in single precision, for one node in each
+lane of the vector unit: within a few millimetres they are good to a nanometre.
 """
 
 from __future__ import annotations
@@ -21,8 +21,13 @@ _f = np.float32
 
 
 def _groups() -> np.ndarray:
-    """Return (first i, j, k, one past the last): the quarters of a block, then what is on its far sides."""
-    quarters = [(0, j, k, CELLS, j + 2, k + 2) for j in range(0, CELLS, 2) for k in range(0, CELLS, 2)]
+    """
+    Return (first i, j, k, one past the last).
+
+    The quarters of a block, then what is on its far sides.
+    """
+    quarters = [(0, j, k, CELLS, j + 2, k + 2) for j in range(0, CELLS, 2)
+                for k in range(0, CELLS, 2)]
     sides = [(CELLS * i, CELLS * j, CELLS * k, CELLS + i, CELLS + j, CELLS + k)
              for i, j, k in np.ndindex(2, 2, 2) if i or j or k]
     return np.array(quarters + sides)
@@ -36,12 +41,12 @@ def gather(tree, centre, radius, candidate, ball, corner):
     """
     Find all triangles that may lie within ``radius`` of ``centre`` and return their number.
 
-    The triangle nearest to any point of a ball of radius R lies within dmin + 2 R of its centre, where
-    dmin is the distance of the centre to the surface.
+    The triangle nearest to any point of a ball of radius R lies within dmin + 2 R of its centre,
+    where dmin is the distance of the centre to the surface.
 
-    ``candidate`` (room,) int32, the triangles; ``ball`` (4, room) float32, centre and radius of their
-    bounding balls; ``corner`` (room, 3) float32, corner a in the axes of the triangle; all from
-    ``centre``.
+    ``candidate`` (room,) int32, the triangles; ``ball`` (4, room) float32, centre and radius of
+    their bounding balls; ``corner`` (room, 3) float32, corner a in the axes of the triangle; all
+    from ``centre``.
     """
     box, start, triangle, tree_ball, axes = tree.box, tree.start, tree.triangle, tree.ball, tree.axes
     leaves = len(start) - 1
@@ -73,7 +78,8 @@ def gather(tree, centre, radius, candidate, ball, corner):
                 y = triangle[t, 1] - centre[1]
                 z = triangle[t, 2] - centre[2]
                 for a in range(3):
-                    corner[n, a] = axes[t, 3 * a] * x + axes[t, 3 * a + 1] * y + axes[t, 3 * a + 2] * z
+                    corner[n,
+                           a] = axes[t, 3 * a] * x + axes[t, 3 * a + 1] * y + axes[t, 3 * a + 2] * z
                 n += 1
     return n
 
@@ -83,9 +89,9 @@ def narrow(triangle, candidate, ball, n, centre, voxel, g, bound, chosen):
     """
     Choose the candidates that may be nearest to a node of group ``g`` and return their number.
 
-    Take a point q of the surface near the group.  A triangle in a ball (m, r) is farther from x than q if
-    |x - m| - r > |x - q|, that is |x - m|^2 - |x - q|^2 > 2 r |x - q| + r^2, and there the left side is
-    linear in x, so it is least at a corner of the group.
+    Take a point q of the surface near the group.  A triangle in a ball (m, r) is farther from x
+    than q if |x - m| - r > |x - q|, that is |x - m|^2 - |x - q|^2 > 2 r |x - q| + r^2, and there
+    the left side is linear in x, so it is least at a corner of the group.
     """
     half = np.empty(3, np.float32)
     middle = np.empty(3, np.float32)
@@ -101,8 +107,8 @@ def narrow(triangle, candidate, ball, n, centre, voxel, g, bound, chosen):
     x, y, z = centre[0] + middle[0], centre[1] + middle[1], centre[2] + middle[2]
     v, w, _ = closest(triangle, t, x, y, z)
     x, y, z = offset(triangle, t, v, w, x, y, z)
-    _margins(ball, n, middle[0], middle[1], middle[2], _f(-x), _f(-y), _f(-z), half[0], half[1], half[2],
-             bound)
+    _margins(ball, n, middle[0], middle[1], middle[2], _f(-x), _f(-y), _f(-z), half[0], half[1],
+             half[2], bound)
     m = 0
     for c in range(n):      # written every time, counted if it fits: no branch to mispredict
         chosen[m] = c
@@ -142,8 +148,8 @@ def measure(axes, candidate, corner, chosen, m, lanes, best):
     """
     Find the triangle nearest to the point in each lane.
 
-    In the axes of a triangle its corners are (0, 0), (b, 0) and (p, q), and the distance is that in the
-    plane, to the nearest edge or zero inside, and the height above it.
+    In the axes of a triangle its corners are (0, 0), (b, 0) and (p, q), and the distance is that in
+    the plane, to the nearest edge or zero inside, and the height above it.
 
     ``lanes`` (4 LANES,) float32: x, y, z and room for the distances; ``best`` (LANES,) is filled.
     """

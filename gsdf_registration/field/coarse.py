@@ -14,7 +14,8 @@ from gsdf_registration.field.triangles import distance2, write_sample
 @compiled
 def mark_cells(tree, origin, edge, reach, first, last, distance):
     """
-    Find the cells of layers ``first`` to before ``last`` whose centre is within ``reach`` of a triangle.
+    Find the cells of layers ``first`` to before ``last`` whose centre is within ``reach`` of a
+    triangle.
 
     ``distance`` (bx, by, bz) float64, inf at first, is lowered to that of the centre.
     """
@@ -45,7 +46,9 @@ def mark_cells(tree, origin, edge, reach, first, last, distance):
 @inlined
 def _centres_between(x, radius, edge, first, last):
     """Return the range of cells, along one axis, whose centres lie within ``radius`` of ``x``."""
-    return max(first, math.ceil((x - radius) / edge - 0.5)), min(last, math.floor((x + radius) / edge + 0.5))
+    return max(first,
+               math.ceil((x - radius) / edge - 0.5)), min(last,
+                                                          math.floor((x + radius) / edge + 0.5))
 
 
 @compiled
@@ -53,9 +56,9 @@ def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
     """
     Spread the nearest triangles from the known nodes along ``axis``, there and back.
 
-    Only lines from ``first`` to before ``last`` of the next axis: lines do not depend on each other.
-    ``nearest`` (nx, ny, nz) int32, -1 where unknown, and ``distance2s`` float64, inf there, are filled once
-    all axes had their turn.
+    Only lines from ``first`` to before ``last`` of the next axis: lines do not depend on each
+    other. ``nearest`` (nx, ny, nz) int32, -1 where unknown, and ``distance2s`` float64, inf there,
+    are filled once all axes had their turn.
     """
     triangle = tree.triangle
     at = np.empty(3, np.int64)
@@ -79,11 +82,14 @@ def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
 
 @compiled
 def fill_coarse(tree, origin, edge, nearest, first, last, coarse):
-    """Fill layers of ``coarse`` (nx ny nz, 4) float32 from the triangles in ``nearest`` (nx, ny, nz)."""
+    """
+    Fill layers of ``coarse`` (nx ny nz, 4) float32 from the triangles in ``nearest`` (nx, ny, nz).
+    """
     triangle, normal = tree.triangle, tree.normal
     _, ny, nz = nearest.shape
     for i in range(first, last):
         for j in range(ny):
             for k in range(nz):
-                write_sample(triangle, normal, nearest[i, j, k], origin[0] + i * edge, origin[1] + j * edge,
-                             origin[2] + k * edge, 1e-6 * edge, coarse, (i * ny + j) * nz + k)
+                write_sample(triangle, normal, nearest[i, j, k], origin[0] + i * edge,
+                             origin[1] + j * edge, origin[2] + k * edge, 1e-6 * edge, coarse,
+                             (i * ny + j) * nz + k)

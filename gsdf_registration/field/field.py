@@ -21,8 +21,10 @@ class Field:
     arrays : FieldArrays, for the compiled kernels
     bone_sha256 : hash of the bone it was built from
     bounds : (2, 3) float64, low and high corner of the surface
-    surface_points, surface_normals : (k, 3) float32, an even sample of the surface, about one on 4 mm^2
-    vertices, faces : (n, 3) float32 and (m, 3) int32, the surface for drawing; no faces if it was a point
+    surface_points, surface_normals : (k, 3) float32, an even sample of the surface, about one on 4
+        mm^2
+    vertices, faces : (n, 3) float32 and (m, 3) int32, the surface for drawing; no faces if it was a
+        point
         cloud
     notes : what was repaired in the bone, a sentence each
     """
@@ -50,8 +52,8 @@ class Field:
     def nbytes(self) -> int:
         """Memory taken by all arrays, bytes."""
         a = self.arrays
-        return sum(array.nbytes for array in (a.block_of, a.nodes, self.surface_points, self.surface_normals,
-                                              self.vertices, self.faces))
+        return sum(array.nbytes for array in (a.block_of, a.nodes, self.surface_points,
+                                              self.surface_normals, self.vertices, self.faces))
 
     def sample(self, points: ArrayLike) -> tuple[Array, Array]:
         """

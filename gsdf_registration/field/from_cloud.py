@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes and the surface sample of a point cloud with normals: every point stands for a small disc."""
+"""
+The nodes and the surface sample of a point cloud with normals: every point stands for a small disc.
+"""
 
 from __future__ import annotations
 
@@ -71,9 +73,12 @@ class Discs:
         side = offset - height[..., None] * normal
         length = np.linalg.norm(side, axis=-1)
         # the part of the side step that sticks out beyond the rim
-        beyond = np.maximum(length - self._radii[nearest], 0.0) / np.where(length > 0.0, length, 1.0)
+        beyond = np.maximum(length - self._radii[nearest], 0.0) / np.where(
+            length > 0.0, length, 1.0)
         to_disc = height[..., None] * normal + beyond[..., None] * side
         distance = np.copysign(np.linalg.norm(to_disc, axis=-1), height)
-        near = np.abs(distance) < 1e-6 * self._radii[nearest]      # the direction is lost, the normal it is
-        gradient = np.where(near[..., None], normal, to_disc / np.where(near, 1.0, distance)[..., None])
+        # the direction is lost, the normal it is
+        near = np.abs(distance) < 1e-6 * self._radii[nearest]
+        gradient = np.where(near[..., None], normal,
+                            to_disc / np.where(near, 1.0, distance)[..., None])
         return np.concatenate([distance[..., None], gradient], axis=-1).astype(np.float32)

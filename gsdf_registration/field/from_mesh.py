@@ -43,8 +43,8 @@ def fill_from_mesh(grid: Grid, vertices: Array, faces: np.ndarray,
 
         # Find the blocks
         distance = np.full(grid.shape, np.inf)
-        share(grid.shape[0], LAYERS, lambda i, j: mark_cells(tree, grid.origin, grid.edge, grid.reach, i, j,
-                                                             distance))
+        share(grid.shape[0], LAYERS,
+              lambda i, j: mark_cells(tree, grid.origin, grid.edge, grid.reach, i, j, distance))
         nodes = grid.allocate(distance)
         # Fill them
         block_of, cells = nodes.arrays.block_of, nodes.cells
@@ -57,10 +57,12 @@ def fill_from_mesh(grid: Grid, vertices: Array, faces: np.ndarray,
         # Spread what their corners know over the coarse grid
         known, distance2s = _known_at_corners(nodes, nearest)
         for axis in ROUNDS * (0, 1, 2):
-            share(known.shape[(axis + 1) % 3], LAYERS, lambda i, j, axis=axis: spread(  # type: ignore[misc]
+            # type: ignore[misc]
+            share(known.shape[(axis + 1) % 3], LAYERS, lambda i, j, axis=axis: spread(
                 tree, grid.origin, grid.edge, axis, i, j, known, distance2s))
-        share(len(known), LAYERS, lambda i, j: fill_coarse(tree, grid.origin, grid.edge, known, i, j,
-                                                           nodes.coarse.reshape(-1, 4)))
+        share(
+            len(known), LAYERS, lambda i, j: fill_coarse(tree, grid.origin, grid.edge, known, i, j,
+                                                         nodes.coarse.reshape(-1, 4)))
     return nodes.arrays, *sample_triangles(tree)
 
 
@@ -73,5 +75,6 @@ def _known_at_corners(nodes: Nodes, nearest: np.ndarray) -> tuple[np.ndarray, Ar
         filled = nearest[:, i, j, k] >= 0
         at = tuple((nodes.cells[filled] + (i, j, k)).T)
         known[at] = nearest[filled, i, j, k]
-        distance2s[at] = nodes.blocks[filled, CELLS * i, CELLS * j, CELLS * k, 0].astype(np.float64) ** 2
+        distance2s[at] = nodes.blocks[filled, CELLS * i, CELLS * j, CELLS * k,
+                                      0].astype(np.float64)**2
     return known, distance2s

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the nodes of a field are: a coarse grid round the surface, and which of its cells are divided."""
+"""
+Where the nodes of a field are: a coarse grid round the surface, and which of its cells are divided.
+"""
 
 from __future__ import annotations
 
@@ -57,8 +59,9 @@ class Grid:
         high = np.ceil(bounds[1] / (CELLS * voxel)).astype(np.int64) + MARGIN
         shape = tuple((high - low).tolist())
         if math.prod(n + 1 for n in shape) > LARGEST_GRID:
-            raise InputError(f'voxels of {voxel * 1e3:g} mm are too small for a bone of '
-                             f'{np.ptp(bounds, axis=0).max() * 1e3:.0f} mm; choose a larger voxel size')
+            raise InputError(
+                f'voxels of {voxel * 1e3:g} mm are too small for a bone of '
+                f'{np.ptp(bounds, axis=0).max() * 1e3:.0f} mm; choose a larger voxel size')
         return cls(low * (CELLS * voxel), shape, voxel)
 
     @property

@@ -2,9 +2,10 @@
 """
 Distance and gradient of a gradient-SDF at any point, in one call.
 
-Each of the eight nodes round a point predicts the distance there from its own sample, d_i + g_i . (x - x_i), the first-order
-model of Sommer et al. (CVPR 2022).  The trilinear blend of these predictions errs by as much to one side as the blend of the plain d_i
-to the other; half way between, sum_i w_i (d_i + g_i . (x - x_i) / 2), is exact for quadratic distances and continuous.
+Each of the eight nodes round a point predicts the distance there from its own sample, d_i + g_i .
+(x - x_i), the first-order model of Sommer et al. (CVPR 2022).  The trilinear blend of these
+predictions errs by as much to one side as the blend of the plain d_i to the other; half way
+between, sum_i w_i (d_i + g_i . (x - x_i) / 2), is exact for quadratic distances and continuous.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ import numpy as np
 from gsdf_registration.rigid import Array
 
 CELLS = 4           # fine cells along an edge of a block
-NODES = CELLS + 1   # nodes along an edge: a block holds its far faces too, so that no cell spans two blocks
+# nodes along an edge: a block holds its far faces too, so that no cell spans two blocks
+NODES = CELLS + 1
 
 _f = np.float32
 _u = np.uint64      # unsigned indices spare the kernels the check for negative ones
 
 # A call passes the whole field by value, 30 words: inlining halves the time of a sample.
-# Products may be fused with sums (FMA), which loses no precision; order and everything else stay as written.
+# Products may be fused with sums (FMA), which loses no precision; order and everything else stay as
+# written.
 _options = {'nogil': True, 'cache': True, 'error_model': 'numpy', 'fastmath': {'contract'}}
 _inline = nb.njit(forceinline=True, **_options)
 
@@ -33,13 +36,15 @@ class FieldArrays(NamedTuple):
     """
     A gradient-SDF as the kernels see it; lengths in metres, bone frame.
 
-    A node is (distance, gx, gy, gz): negative inside the bone, the gradient of unit length, away from the bone.  There are two
-    levels: blocks of fine nodes in a band round the surface, and coarse nodes at the block corners of the whole box.
+    A node is (distance, gx, gy, gz): negative inside the bone, the gradient of unit length, away
+    from the bone.  There are two levels: blocks of fine nodes in a band round the surface, and
+    coarse nodes at the block corners of the whole box.
 
     origin : (3,) float64, position of coarse node (0, 0, 0)
     voxel : float, spacing of the fine nodes; the coarse ones stand CELLS * voxel apart
     block_of : (bx, by, bz) int32, index of the fine block of a coarse cell; -1 where there is none
-    nodes : (m, 4) float32: the n blocks, each (NODES, NODES, NODES) in C order, then the coarse (bx + 1, by + 1, bz + 1)
+    nodes : (m, 4) float32: the n blocks, each (NODES, NODES, NODES) in C order, then the coarse (bx
+        + 1, by + 1, bz + 1)
     first_coarse : int, row of the first coarse node, n * NODES**3
     """
 
@@ -57,21 +62,33 @@ def _lerp(a, b, t):
 
 @_inline
 def _blend(nodes, at, stride_x, stride_y, u, v, w, step):
-    """Blend the cell whose first node is row ``at``, at (u, v, w) in [0, 1]^3; ``step``: node spacing."""
+    """
+    Blend the cell whose first node is row ``at``, at (u, v, w) in [0, 1]^3; ``step``: node spacing.
+    """
     n000, n001, n010, n011 = at, at + _u(1), at + stride_y, at + stride_y + _u(1)
     n100, n101, n110, n111 = n000 + stride_x, n001 + stride_x, n010 + stride_x, n011 + stride_x
-    d = _lerp(_lerp(_lerp(nodes[n000, 0], nodes[n001, 0], w), _lerp(nodes[n010, 0], nodes[n011, 0], w), v),
-              _lerp(_lerp(nodes[n100, 0], nodes[n101, 0], w), _lerp(nodes[n110, 0], nodes[n111, 0], w), v), u)
+    d = _lerp(
+        _lerp(_lerp(nodes[n000, 0], nodes[n001, 0], w), _lerp(nodes[n010, 0], nodes[n011, 0], w),
+              v),
+        _lerp(_lerp(nodes[n100, 0], nodes[n101, 0], w), _lerp(nodes[n110, 0], nodes[n111, 0], w),
+              v), u)
     # each gradient component on the two faces of the cell across its own axis
-    x0 = _lerp(_lerp(nodes[n000, 1], nodes[n001, 1], w), _lerp(nodes[n010, 1], nodes[n011, 1], w), v)
-    x1 = _lerp(_lerp(nodes[n100, 1], nodes[n101, 1], w), _lerp(nodes[n110, 1], nodes[n111, 1], w), v)
-    y0 = _lerp(_lerp(nodes[n000, 2], nodes[n001, 2], w), _lerp(nodes[n100, 2], nodes[n101, 2], w), u)
-    y1 = _lerp(_lerp(nodes[n010, 2], nodes[n011, 2], w), _lerp(nodes[n110, 2], nodes[n111, 2], w), u)
-    z0 = _lerp(_lerp(nodes[n000, 3], nodes[n010, 3], v), _lerp(nodes[n100, 3], nodes[n110, 3], v), u)
-    z1 = _lerp(_lerp(nodes[n001, 3], nodes[n011, 3], v), _lerp(nodes[n101, 3], nodes[n111, 3], v), u)
+    x0 = _lerp(_lerp(nodes[n000, 1], nodes[n001, 1], w), _lerp(nodes[n010, 1], nodes[n011, 1], w),
+               v)
+    x1 = _lerp(_lerp(nodes[n100, 1], nodes[n101, 1], w), _lerp(nodes[n110, 1], nodes[n111, 1], w),
+               v)
+    y0 = _lerp(_lerp(nodes[n000, 2], nodes[n001, 2], w), _lerp(nodes[n100, 2], nodes[n101, 2], w),
+               u)
+    y1 = _lerp(_lerp(nodes[n010, 2], nodes[n011, 2], w), _lerp(nodes[n110, 2], nodes[n111, 2], w),
+               u)
+    z0 = _lerp(_lerp(nodes[n000, 3], nodes[n010, 3], v), _lerp(nodes[n100, 3], nodes[n110, 3], v),
+               u)
+    z1 = _lerp(_lerp(nodes[n001, 3], nodes[n011, 3], v), _lerp(nodes[n101, 3], nodes[n111, 3], v),
+               u)
     # sum_i w_i g_i . (x - x_i) / 2, with the weights of opposite faces multiplied out
     one = _f(1.0)
-    d += _f(0.5) * step * (u * (one - u) * (x0 - x1) + v * (one - v) * (y0 - y1) + w * (one - w) * (z0 - z1))
+    d += _f(0.5) * step * (u * (one - u) * (x0 - x1) + v * (one - v) * (y0 - y1) + w * (one - w) *
+                           (z0 - z1))
     gx, gy, gz = _lerp(x0, x1, u), _lerp(y0, y1, v), _lerp(z0, z1, w)
     n = math.sqrt(gx * gx + gy * gy + gz * gz)
     if n < _f(1e-6):  # on the medial axis the gradients cancel: take one side's
@@ -101,11 +118,14 @@ def _sample_cell(field, i, j, k, u, v, w):
 
 @nb.njit(**_options)
 def _sample_outside(field, px, py, pz):
-    """Sample outside the box: measure from the surface point that is nearest where the box is left."""
+    """
+    Sample outside the box: measure from the surface point that is nearest where the box is left.
+    """
     edge = CELLS * field.voxel
     bx, by, bz = field.block_of.shape
     # the last cell's far face counts as its inside
-    qx, qy, qz = min(max(px, 0.0), bx - 1e-6), min(max(py, 0.0), by - 1e-6), min(max(pz, 0.0), bz - 1e-6)
+    qx, qy, qz = min(max(px, 0.0), bx - 1e-6), min(max(py, 0.0),
+                                                   by - 1e-6), min(max(pz, 0.0), bz - 1e-6)
     i, j, k = _u(qx), _u(qy), _u(qz)
     d, gx, gy, gz = _sample_cell(field, i, j, k, qx - i, qy - j, qz - k)
     rx, ry, rz = (px - qx) * edge + d * gx, (py - qy) * edge + d * gy, (pz - qz) * edge + d * gz
@@ -115,7 +135,9 @@ def _sample_outside(field, px, py, pz):
 
 @_inline
 def sample(field, x, y, z):
-    """Return (distance, gx, gy, gz) of the `FieldArrays` at one point in metres, anywhere in space."""
+    """
+    Return (distance, gx, gy, gz) of the `FieldArrays` at one point in metres, anywhere in space.
+    """
     per_edge = 1.0 / (CELLS * field.voxel)
     px = (x - field.origin[0]) * per_edge
     py = (y - field.origin[1]) * per_edge
@@ -129,7 +151,9 @@ def sample(field, x, y, z):
 
 @_inline
 def sample_coarse(field, x, y, z):
-    """Return (distance, gx, gy, gz) from the nearest coarse node alone, one fetch: for a wide search."""
+    """
+    Return (distance, gx, gy, gz) from the nearest coarse node alone, one fetch: for a wide search.
+    """
     edge = CELLS * field.voxel
     bx, by, bz = field.block_of.shape
     px = (x - field.origin[0]) / edge

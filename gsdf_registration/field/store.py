@@ -2,8 +2,8 @@
 """
 A field as one file.
 
-Magic, length of the header, header (JSON), arrays as they lie in memory (little-endian), CRC-32 of all before
-it.  No pickle: nothing is run on loading.
+Magic, length of the header, header (JSON), arrays as they lie in memory (little-endian), CRC-32 of
+all before it.  No pickle: nothing is run on loading.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from gsdf_registration.result import InputError
 
 MAGIC = b'GSDF\r\n\x1a\n'     # as PNG's: a file mangled as text is noticed at once
 VERSION = 1
-ALIGNMENT = 64                  # of the first array: loaded ones run through the same kernels as built ones
+# of the first array: loaded ones run through the same kernels as built ones
+ALIGNMENT = 64
 _DTYPES = {'block_of': '<i4', 'nodes': '<f4', 'surface_points': '<f4', 'surface_normals': '<f4',
            'vertices': '<f4', 'faces': '<i4'}
 
@@ -49,7 +50,10 @@ def save_field(field: Field, path: str | os.PathLike[str]) -> None:
         'bone_sha256': field.bone_sha256, 'notes': list(field.notes),
         'shapes': {name: array.shape for name, array in arrays.items()}}).encode()
     header += b' ' * (-(len(MAGIC) + 4 + len(header)) % ALIGNMENT)
-    parts = [MAGIC, struct.pack('<I', len(header)), header, *(array.tobytes() for array in arrays.values())]
+    parts = [
+        MAGIC,
+        struct.pack('<I', len(header)), header, *(array.tobytes() for array in arrays.values())
+    ]
     checksum = 0
     for part in parts:
         checksum = zlib.crc32(part, checksum)
@@ -85,7 +89,8 @@ def load_field(path: str | os.PathLike[str]) -> Field:
     start = len(MAGIC) + 4
     if data[:len(MAGIC)] != MAGIC:
         raise InputError(f'{path}: is not a gsdf field; build one with `gsdf build`')
-    damaged = InputError(f'{path}: the field is damaged or cut short; build it again with `gsdf build`')
+    damaged = InputError(
+        f'{path}: the field is damaged or cut short; build it again with `gsdf build`')
     try:
         end = start + struct.unpack('<I', data[len(MAGIC):start])[0]
         header = json.loads(data[start:end])
@@ -93,18 +98,24 @@ def load_field(path: str | os.PathLike[str]) -> Field:
     except (struct.error, ValueError, KeyError, TypeError) as error:
         raise damaged from error
     if version != VERSION:
-        raise InputError(f'{path}: is a field of format {version}, but this program reads {VERSION}; '
-                         'build it again with `gsdf build`')
+        raise InputError(
+            f'{path}: is a field of format {version}, but this program reads {VERSION}; '
+            'build it again with `gsdf build`')
     if struct.pack('<I', zlib.crc32(memoryview(data)[:-4])) != data[-4:]:
         raise damaged
-    return _field(header, data, end)
+    try:
+        return _field(header, data, end)
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged from error
 
 
 def _arrays(field: Field) -> dict[str, np.ndarray]:
     """Return the arrays of a field by the names of `_DTYPES`."""
     a = field.arrays
-    return {'block_of': a.block_of, 'nodes': a.nodes, 'surface_points': field.surface_points,
-            'surface_normals': field.surface_normals, 'vertices': field.vertices, 'faces': field.faces}
+    return {
+        'block_of': a.block_of, 'nodes': a.nodes, 'surface_points': field.surface_points,
+        'surface_normals': field.surface_normals, 'vertices': field.vertices, 'faces': field.faces
+    }
 
 
 def _field(header: dict[str, Any], data: bytearray, offset: int) -> Field:
@@ -115,5 +126,8 @@ def _field(header: dict[str, Any], data: bytearray, offset: int) -> Field:
         offset += arrays[name].nbytes
     kernels = FieldArrays(np.array(header['origin']), header['voxel_size'], arrays.pop('block_of'),
                           arrays.pop('nodes'), header['first_coarse'])
-    return Field(kernels, header['bone_sha256'], np.array(header['bounds']), notes=tuple(header['notes']),
+    return Field(kernels,
+                 header['bone_sha256'],
+                 np.array(header['bounds']),
+                 notes=tuple(header['notes']),
                  **arrays)

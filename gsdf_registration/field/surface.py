@@ -15,8 +15,8 @@ def sample_triangles(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
     """
     Return points and normals, each (k, 3) float32, always the same for the same mesh.
 
-    The triangles are walked in the order of the tree, where neighbours follow each other, and a point is put
-    down every SPACING^2 of area.
+    The triangles are walked in the order of the tree, where neighbours follow each other, and a
+    point is put down every SPACING^2 of area.
     """
     a, ab, ac = (tree.triangle[:, i:i + 3] for i in (0, 3, 6))
     area = np.cumsum(0.5 / np.sqrt(tree.triangle[:, 15]))

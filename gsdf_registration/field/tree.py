@@ -22,12 +22,15 @@ class Tree(NamedTuple):
 
     Node i has the children 2i and 2i + 1, the root is 1.
 
-    box : (2 l, 6) float64, low and high corner of what a node holds; leaves are the nodes l .. 2l - 1
+    box : (2 l, 6) float64, low and high corner of what a node holds; leaves are the nodes l .. 2l -
+        1
     start : (l + 1,) int64, leaf j holds the triangles start[j] .. start[j + 1] - 1
-    triangle : (m, 16) float64, corner a, edges ab and ac, ab.ab, ab.ac, ac.ac, and the inverses of ab.ab,
+    triangle : (m, 16) float64, corner a, edges ab and ac, ab.ab, ab.ac, ac.ac, and the inverses of
+        ab.ab,
         ac.ac, bc.bc and of the square of twice the area
     ball : (m, 4) float64, centre and radius of the smallest circle round the triangle
-    axes : (m, 14) float32, unit vectors along ab, across it in the plane, and normal to it; in these axes,
+    axes : (m, 14) float32, unit vectors along ab, across it in the plane, and normal to it; in
+        these axes,
         from a, b = (b, 0) and c = (p, q): b, p, q, and the inverses of ac.ac and bc.bc
     normal : (m, 7, 3) float32, pseudonormals of the face, edges ab, bc, ca and corners a, b, c
     """
@@ -92,7 +95,8 @@ def _prepare(corners, triangle, ball, axes):
         triangle[t, 9], triangle[t, 10], triangle[t, 11] = abab, abac, acac
         triangle[t, 12], triangle[t, 13] = 1.0 / abab, 1.0 / acac
         triangle[t, 14], triangle[t, 15] = 1.0 / bcbc, 1.0 / area2
-        # the circumcentre; beyond a side, the triangle is obtuse and the middle of that side will do
+        # the circumcentre; beyond a side, the triangle is obtuse and the middle of that side will
+        # do
         v = 0.5 * acac * (abab - abac) / area2
         w = 0.5 * abab * (acac - abac) / area2
         if v <= 0.0:

@@ -2,9 +2,9 @@
 """
 Exact signed distance and gradient to one triangle.
 
-The closest point is found by the triangle's Voronoi regions (Ericson, Real-Time Collision Detection,
-5.1.5), the sign by the pseudonormal of the face, edge or corner it lies on (Baerentzen & Aanaes, TVCG
-2005).  ``tri`` are the triangles of a `Tree`.
+The closest point is found by the triangle's Voronoi regions (Ericson, Real-Time Collision
+Detection, 5.1.5), the sign by the pseudonormal of the face, edge or corner it lies on (Baerentzen &
+Aanaes, TVCG 2005).  ``tri`` are the triangles of a `Tree`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from gsdf_registration.field.jit import inlined
 
 @inlined
 def closest(tri, i, x, y, z):
-    """Return (v, w, feature) of the closest point a + v ab + w ac; feature: a row of `pseudonormals`."""
+    """
+    Return (v, w, feature) of the closest point a + v ab + w ac; feature: a row of `pseudonormals`.
+    """
     px = x - tri[i, 0]
     py = y - tri[i, 1]
     pz = z - tri[i, 2]
@@ -59,8 +61,8 @@ def distance2(tri, i, x, y, z):
     """
     Return the squared distance from (x, y, z) to triangle ``i``, to choose by.
 
-    To the plane if the foot lies inside, else to the nearest edge: all from two dot products, without a
-    branch to mispredict; good to 1e-16 of the squared distance to corner a.
+    To the plane if the foot lies inside, else to the nearest edge: all from two dot products,
+    without a branch to mispredict; good to 1e-16 of the squared distance to corner a.
     """
     px = x - tri[i, 0]
     py = y - tri[i, 1]
@@ -95,9 +97,11 @@ def _along(dot, inverse, length2):
 @inlined
 def write_sample(tri, normal, i, x, y, z, on_surface, out, row):
     """
-    Write signed distance and unit gradient at (x, y, z), whose nearest triangle is ``i``, to ``out[row]``.
+    Write signed distance and unit gradient at (x, y, z), whose nearest triangle is ``i``, to
+    ``out[row]``.
 
-    ``on_surface``: distance below which the direction to the surface is lost; the pseudonormal it is then.
+    ``on_surface``: distance below which the direction to the surface is lost; the pseudonormal it
+    is then.
     """
     v, w, feature = closest(tri, i, x, y, z)
     dx, dy, dz = offset(tri, i, v, w, x, y, z)

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 
 FIRST_PORT = 7410   # of the first participant in domain 0; 250 ports a domain (DDSI-RTPS 9.6.1)
 
-# Participants announce themselves often at first: to find one another takes 0.6 s at most instead of 3 s.
+# Participants announce themselves often at first: to find one another takes 0.6 s at most instead
+# of 3 s.
 QUICK_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <participant profile_name="quick_discovery" is_default_profile="true"><rtps><builtin><discovery_config>
@@ -48,7 +49,11 @@ def own_domain() -> Iterator[dict[str, str]]:
 
 
 def _bind_free(held: socket.socket) -> int:
-    """Bind the port of the first participant of a free domain, which keeps others away; return the domain."""
+    """
+    Bind the port of the first participant of a free domain, which keeps others away.
+
+    Return the domain.
+    """
     for domain in random.sample(range(1, 102), 101):
         try:
             held.bind(('0.0.0.0', FIRST_PORT + 250 * domain))

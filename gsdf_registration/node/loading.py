@@ -29,7 +29,8 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
     """
     path = config.model.path
     if not path:
-        log.warning('there is no bone model: model.path is empty; points are collected all the same')
+        log.warning(
+            'there is no bone model: model.path is empty; points are collected all the same')
         return None
     log.info(f'loading {path}')
     try:

@@ -20,8 +20,8 @@ def main(args: list[str] | None = None) -> int:
     """
     Run the node until SIGINT or SIGTERM.
 
-    The signals are blocked before the slow imports and taken by sigwait: no handler interrupts anything, and
-    one signal on the heels of another finds nothing to harm.
+    The signals are blocked before the slow imports and taken by sigwait: no handler interrupts
+    anything, and one signal on the heels of another finds nothing to harm.
 
     Returns
     -------

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lifecycle node: it takes messages to the session and brings results back, and computes nothing."""
+"""
+The lifecycle node: it takes messages to the session and brings results back, and computes nothing.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,8 @@ class RegistrationNode(LifecycleNode):
     """
     Node ``registration``.
 
-    All callbacks run on one executor thread; what takes long runs on a thread of its own, see `Services`.
+    All callbacks run on one executor thread; what takes long runs on a thread of its own, see
+    `Services`.
 
     Raises
     ------
@@ -83,7 +86,9 @@ class RegistrationNode(LifecycleNode):
         self.show()
 
     def finish(self, timeout: float) -> bool:
-        """End the lifecycle and go off the air; False if a solve goes on after ``timeout`` seconds."""
+        """
+        End the lifecycle and go off the air; False if a solve goes on after ``timeout`` seconds.
+        """
         self.cancelled.set()
         if not self._serving.idle(timeout):
             return False
@@ -97,7 +102,8 @@ class RegistrationNode(LifecycleNode):
         """Load the bone and open the topics."""
         config = self.config
         if config.reference.topic:
-            raise InputError('reference.topic is not supported yet; give points in the frame of the array')
+            raise InputError(
+                'reference.topic is not supported yet; give points in the frame of the array')
         self.show()
         self._field = load(config, self.get_logger())
         self.session = Session(config, self._field)
@@ -200,8 +206,9 @@ class RegistrationNode(LifecycleNode):
 
     def _why_fixed(self, name: str) -> str:
         if name.startswith('model.') and self.state != 'unconfigured':
-            return (f'{name} is read when the node is configured; call the transitions deactivate and '
-                    'cleanup, set it, and configure and activate again')
+            return (
+                f'{name} is read when the node is configured; call the transitions deactivate and '
+                'cleanup, set it, and configure and activate again')
         return ''
 
     def _change(self, values: dict[str, Any]) -> None:

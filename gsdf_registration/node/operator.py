@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client of the node, for the demonstration and the tests: calls its services and hears what it says."""
+"""
+A client of the node, for the demonstration and the tests.
+
+Calls its services and hears what it says.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +33,8 @@ class Operator:
     """
     A participant of its own: one made after a registration is a late joiner.
 
-    Every call waits for what it asks for, and raises `InputError` when that takes longer than ``patience``
-    seconds, or ``alive`` says that the node has ended.
+    Every call waits for what it asks for, and raises `InputError` when that takes longer than
+    ``patience`` seconds, or ``alive`` says that the node has ended.
     """
 
     def __init__(self, node: str = '/registration', patience: float = 10.0,
@@ -66,13 +70,15 @@ class Operator:
 
     def state(self) -> str:
         """Return the lifecycle state of the node."""
-        return self.result(self.start(GetState, 'get_state', GetState.Request())).current_state.label
+        return self.result(self.start(GetState, 'get_state',
+                                      GetState.Request())).current_state.label
 
     def start(self, kind: Any, service: str, request: Any) -> Any:
         """Send a request to ``~/service``; `result` waits for its response."""
         client = self._clients.get(service)
         if client is None:
-            client = self._clients[service] = self.node.create_client(kind, f'{self._target}/{service}')
+            client = self._clients[service] = self.node.create_client(kind,
+                                                                      f'{self._target}/{service}')
         self.spin_until(client.service_is_ready, f'{service} is not served')
         return client.call_async(request)
 
@@ -93,7 +99,9 @@ class Operator:
         def listen(message: Any) -> None:
             if accept(message):
                 heard.append(message)
-        subscription = self.node.create_subscription(kind, topic.replace('~', self._target), listen, qos)
+
+        subscription = self.node.create_subscription(kind, topic.replace('~', self._target), listen,
+                                                     qos)
         try:
             self.spin_until(lambda: bool(heard), f'nothing that fits was heard on {topic}')
         finally:

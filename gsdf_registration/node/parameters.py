@@ -20,7 +20,8 @@ from rclpy.parameter import Parameter
 from gsdf_registration.config import Config, default_of, settings
 from gsdf_registration.result import InputError
 
-# What rclpy and launch set on every node, and what only a node has; all others must be in config.py.
+# What rclpy and launch set on every node, and what only a node has; all others must be in
+# config.py.
 FOREIGN = ('use_sim_time', 'start_type_description_service', 'autostart', 'qos_overrides')
 
 
@@ -31,14 +32,16 @@ def declare_parameters(node: Node) -> Config:
     Raises
     ------
     InputError
-        At an unknown name, a wrong type, a value out of range, or positions that do not match their names.
+        At an unknown name, a wrong type, a value out of range, or positions that do not match their
+        names.
 
     """
     names = {name for name, _ in settings()}
     # rclpy passes over an override that is never declared; a misspelt name must not go unnoticed
     for name in sorted(node._parameter_overrides):
         if name not in names and name.split('.')[0] not in FOREIGN:
-            raise InputError(f'unknown parameter "{name}"; known ones are listed in config/registration.yaml')
+            raise InputError(
+                f'unknown parameter "{name}"; known ones are listed in config/registration.yaml')
     return Config.from_flat({name: _declared(node, name, setting) for name, setting in settings()})
 
 
@@ -60,12 +63,16 @@ def watch_parameters(node: Node, fixed: Callable[[str], str],
     names = {name for name, _ in settings()}
 
     def on_set(parameters: list[Parameter]) -> SetParametersResult:
-        values = {parameter.name: parameter.value for parameter in parameters if parameter.name in names}
+        values = {
+            parameter.name: parameter.value
+            for parameter in parameters if parameter.name in names
+        }
         refusals = [why for why in map(fixed, values) if why]
         try:
             if refusals:
                 raise InputError(refusals[0])
-            change(values)  # here and not after the fact, for it may refuse; no other callback can after us
+            # here and not after the fact, for it may refuse; no other callback can after us
+            change(values)
         except InputError as error:
             return SetParametersResult(successful=False, reason=error.message)
         return SetParametersResult(successful=True)
@@ -83,9 +90,13 @@ def descriptor(setting: dataclasses.Field[Any]) -> ParameterDescriptor:
     if about['low'] is not None:
         low, high = about['low'], about['high']
         if isinstance(default_of(setting), float):
-            described.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+            described.floating_point_range = [
+                FloatingPointRange(from_value=float(low), to_value=float(high))
+            ]
         else:
-            described.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+            described.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            ]
     return described
 
 
@@ -94,11 +105,13 @@ def _declared(node: Node, name: str, setting: dataclasses.Field[Any]) -> Any:
     default = default_of(setting)
     kind: Any = default
     if default == []:   # an empty list does not show its type
-        kind = Parameter.Type.DOUBLE_ARRAY if name.endswith('positions') else Parameter.Type.STRING_ARRAY
+        kind = Parameter.Type.DOUBLE_ARRAY if name.endswith(
+            'positions') else Parameter.Type.STRING_ARRAY
     try:
         value = node.declare_parameter(name, kind, descriptor(setting)).value
     except ParameterException as error:
-        hint = '; a number with a fraction is written 20.0, not 20' if isinstance(default, float) else ''
+        hint = '; a number with a fraction is written 20.0, not 20' if isinstance(default,
+                                                                                  float) else ''
         raise InputError(f'{error}{hint}') from error
     if value is None:   # nothing given, or [], which has no type in a parameter file
         node.set_parameters([Parameter(name, kind, [])])

@@ -2,8 +2,8 @@
 """
 Plays the points of a recording over ROS, for the demonstration and the tests.
 
-Run it as ``python -m gsdf_registration.node.player BAG --topic /probe/tip``.  Stamps stay those of the
-recording, as with ``ros2 bag play``; messages go out as they lie in the bag.
+Run it as ``python -m gsdf_registration.node.player BAG --topic /probe/tip``.  Stamps stay those of
+the recording, as with ``ros2 bag play``; messages go out as they lie in the bag.
 """
 
 from __future__ import annotations
@@ -51,12 +51,15 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _play(options: argparse.Namespace) -> int:
-    messages = [raw.data for raw in BagFiles(options.bag).messages([options.topic]) if raw.msgtype == POINT]
+    messages = [
+        raw.data for raw in BagFiles(options.bag).messages([options.topic]) if raw.msgtype == POINT
+    ]
     if not messages:
         raise InputError(f'{options.bag} has no points on {options.topic}')
     reliability = ReliabilityPolicy.BEST_EFFORT if options.best_effort else ReliabilityPolicy.RELIABLE
     qos = QoSProfile(depth=len(messages), reliability=reliability)
-    publisher = Node('player').create_publisher(PointStamped, options.topic_out or options.topic, qos)
+    publisher = Node('player').create_publisher(PointStamped, options.topic_out or options.topic,
+                                                qos)
     _wait_for_listener(publisher)
     start, first = time.monotonic(), _stamp(messages[0])
     for message in messages:

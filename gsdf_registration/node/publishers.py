@@ -52,10 +52,12 @@ class StatusPublisher:
 
 class PosePublishers:
     """
-    Publishes the registration: poses, transform, points and markers; silent unless the node is active.
+    Publishes the registration: poses, transform, points and markers; silent unless the node is
+    active.
 
-    The transform goes to /tf and is re-sent, never to /tf_static: in Jazzy a second static transform of a
-    frame is dropped without a word, so that a new registration would not be heard of.
+    The transform goes to /tf and is re-sent, never to /tf_static: in Jazzy a second static
+    transform of a frame is dropped without a word, so that a new registration would not be heard
+    of.
     """
 
     def __init__(self, node: LifecycleNode, config: Config) -> None:
@@ -63,7 +65,8 @@ class PosePublishers:
         self._frame_id = config.model.frame_id
         create = node.create_lifecycle_publisher
         self._pose = create(PoseStamped, '~/bone_pose', LATCHED)
-        self._pose_with_covariance = create(PoseWithCovarianceStamped, '~/bone_pose_with_covariance', LATCHED)
+        self._pose_with_covariance = create(PoseWithCovarianceStamped,
+                                            '~/bone_pose_with_covariance', LATCHED)
         self._points = create(PointCloud2, '~/points', LATCHED)
         self._markers = create(MarkerArray, '~/markers', LATCHED)
         self._tf = create(TFMessage, '/tf', 100) if TFMessage else None
@@ -101,9 +104,9 @@ class PosePublishers:
         self._resend()
         points = session.registered_points()
         if points is not None and result.residuals_m is not None and result.weights is not None:
-            self._points.publish(ros.cloud_msg(
-                transform(inverse(T), points.positions), result.residuals_m, result.weights, points.strokes,
-                self._frame_id, stamp))
+            self._points.publish(
+                ros.cloud_msg(transform(inverse(T), points.positions), result.residuals_m,
+                              result.weights, points.strokes, self._frame_id, stamp))
 
     def _resend(self) -> None:
         if self._transform is not None and self._tf is not None:
@@ -114,6 +117,7 @@ class PosePublishers:
         """Take everything off the air."""
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
-        for publisher in (self._pose, self._pose_with_covariance, self._points, self._markers, self._tf):
+        for publisher in (self._pose, self._pose_with_covariance, self._points, self._markers,
+                          self._tf):
             if publisher is not None:
                 self._node.destroy_lifecycle_publisher(publisher)

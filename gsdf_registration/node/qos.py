@@ -9,6 +9,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-# Best effort hears reliable publishers too; deep, because a busy moment must cost no point (12 s at 80 Hz).
+# Best effort hears reliable publishers too; deep, because a busy moment must cost no point (12 s at
+# 80 Hz).
 POINTS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT,
                     durability=DurabilityPolicy.VOLATILE)

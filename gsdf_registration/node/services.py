@@ -26,7 +26,8 @@ class Services:
     """
     Serves ``~/collect`` and the others on a node, in every state of its lifecycle.
 
-    They are there from the start, so that a client of a node without a bone is told so and need not wait.
+    They are there from the start, so that a client of a node without a bone is told so and need not
+    wait.
     """
 
     def __init__(self, node: RegistrationNode) -> None:
@@ -37,7 +38,10 @@ class Services:
         for handler in (self.collect, self.undo, self.clear, self.capture_landmark, self.register,
                         self.verify, self.save, self.load):
             kind = SetBool if handler == self.collect else Trigger
-            node.create_service(kind, f'~/{handler.__name__}', self._served(handler), callback_group=group)
+            node.create_service(kind,
+                                f'~/{handler.__name__}',
+                                self._served(handler),
+                                callback_group=group)
 
     def _served(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
         async def serve(request: Any, response: Any) -> Any:
@@ -47,9 +51,11 @@ class Services:
                 answer = Answer(False, refusal) if refusal else await handler(request)
             except InputError as error:
                 answer = Answer(False, error.message)
-            except Exception as error:  # noqa: BLE001 - a fault of ours must cost neither the client its answer nor the points
+            # noqa: BLE001 - a fault of ours must cost neither the client its answer nor the points
+            except Exception as error:
                 traceback.print_exc()
-                answer = Answer(False, f'internal error, please report it: {type(error).__name__}: {error}')
+                answer = Answer(
+                    False, f'internal error, please report it: {type(error).__name__}: {error}')
             if answer.success:
                 node.get_logger().info(f'{handler.__name__}: {answer.message}')
             else:
@@ -111,5 +117,7 @@ class Services:
         return await self._worker.run(executor, job)
 
     def idle(self, timeout: float) -> bool:
-        """Take no further jobs; tell whether the one that runs has ended within ``timeout`` seconds."""
+        """
+        Take no further jobs; tell whether the one that runs has ended within ``timeout`` seconds.
+        """
         return self._worker.shutdown(timeout)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The session's status as a diagnostic message: one sentence for the operator, numbers for programs."""
+"""
+The session's status as a diagnostic message: one sentence for the operator, numbers for programs.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,18 @@ def pose_kept(status: Status) -> str:
 
 
 def status_message(status: Status, name: str) -> DiagnosticStatus:
-    """Return ``status`` as a message; ``name`` is that of the node.  Values are SI and plain text."""
+    """
+    Return ``status`` as a message; ``name`` is that of the node.  Values are SI and plain text.
+    """
     values: dict[str, Any] = {
-        'state': status.state, 'received': status.received, 'kept': status.kept, 'strokes': status.strokes,
-        'landmarks': status.landmarks, 'frame_id': status.frame_id or '', 'reason': status.reason or '',
-        **{f'rejected.{cause}': count for cause, count in status.rejected.items()},
-        'pose': 'none' if status.pose_result is None else f'in {status.pose_frame_id}',
-        **(_confidence(status.pose_result) if status.pose_result is not None else {})}
+        'state': status.state, 'received': status.received, 'kept': status.kept,
+        'strokes': status.strokes, 'landmarks': status.landmarks, 'frame_id': status.frame_id or '',
+        'reason': status.reason or '', **{
+            f'rejected.{cause}': count
+            for cause, count in status.rejected.items()
+        }, 'pose': 'none' if status.pose_result is None else f'in {status.pose_frame_id}',
+        **(_confidence(status.pose_result) if status.pose_result is not None else {})
+    }
     message = status.message + (pose_kept(status) if status.state == 'refused' else '')
     return diagnostic_status(name, LEVELS.get(status.state, DiagnosticStatus.OK), message, values)
 
@@ -34,8 +41,10 @@ def status_message(status: Status, name: str) -> DiagnosticStatus:
 def _confidence(result: RegistrationResult) -> dict[str, str]:
     """Return how good the last good pose is."""
     known = {'used': str(result.used), 'inliers': str(result.inliers)}
-    known |= {f'predicted_tre_m.{target}': f'{tre:.6f}' for target, tre in result.predicted_tre_m.items()
-             if tre is not None}
+    known |= {
+        f'predicted_tre_m.{target}': f'{tre:.6f}'
+        for target, tre in result.predicted_tre_m.items() if tre is not None
+    }
     if result.weakest_direction is not None:
         known['weakest_direction'] = result.weakest_direction.sentence
     return known

@@ -17,11 +17,13 @@ class Worker:
     """
     Runs one job at a time off the executor.
 
-    A single thread: two parallel numba kernels at once abort the process under its default threading layer.
+    A single thread: two parallel numba kernels at once abort the process under its default
+    threading layer.
     """
 
     def __init__(self) -> None:
-        self._pool = concurrent.futures.ThreadPoolExecutor(max_workers=1, thread_name_prefix='worker')
+        self._pool = concurrent.futures.ThreadPoolExecutor(max_workers=1,
+                                                           thread_name_prefix='worker')
         self._job: concurrent.futures.Future[Any] | None = None
 
     @property
@@ -30,7 +32,11 @@ class Worker:
         return self._job is not None and not self._job.done()
 
     async def run(self, executor: Executor, job: Callable[[], Result]) -> Result:
-        """Return what ``job`` returns, or raise what it raises; awaited on ``executor``, which goes on."""
+        """
+        Return what ``job`` returns, or raise what it raises.
+
+        Awaited on ``executor``, which goes on.
+        """
         running = self._job = self._pool.submit(job)
         done: Future = Future(executor=executor)
         # It does nothing, but that it is scheduled wakes the executor, which then resumes us.
@@ -40,6 +46,8 @@ class Worker:
         return running.result()
 
     def shutdown(self, timeout: float) -> bool:
-        """Take no further jobs; tell whether the one that runs has ended within ``timeout`` seconds."""
+        """
+        Take no further jobs; tell whether the one that runs has ended within ``timeout`` seconds.
+        """
         self._pool.shutdown(wait=False)
         return self._job is None or not concurrent.futures.wait([self._job], timeout).not_done

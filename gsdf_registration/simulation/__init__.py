@@ -1,2 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bones that never lived and probes nobody held: known truth for tests, benchmarks and demonstrations."""
+"""
+Bones that never lived and probes nobody held: known truth for tests, benchmarks and demonstrations.
+"""

@@ -46,14 +46,18 @@ def bone_mesh(name: str, spacing: float = 2.4) -> trimesh.Trimesh:
 
 
 def bone_landmarks(name: str, mesh: trimesh.Trimesh) -> dict[str, Array]:
-    """Return the bone's landmarks by name: the vertices (3,) of ``mesh``, mm, nearest to their places."""
+    """
+    Return the bone's landmarks by name: the vertices (3,) of ``mesh``, mm, nearest to their places.
+    """
     vertices = np.asarray(mesh.vertices)
     return {landmark: vertices[np.argmin(np.linalg.norm(vertices - np.array(place), axis=1))]
             for landmark, place in SHAPES[name].LANDMARKS.items()}
 
 
 def _evened(shape: ModuleType, vertices: Array, edges: np.ndarray, rounds: int = 6) -> Array:
-    """Slide the vertices toward their neighbours' mean, then back onto the solid: no slivers are left."""
+    """
+    Slide the vertices toward their neighbours' mean, then back onto the solid: no slivers are left.
+    """
     n = len(vertices)
     both = np.concatenate([edges, edges[:, ::-1]])
     links = sparse.coo_matrix((np.ones(len(both)), tuple(both.T)), (n, n)).tocsr()
@@ -66,7 +70,9 @@ def _evened(shape: ModuleType, vertices: Array, edges: np.ndarray, rounds: int =
     return vertices
 
 
-def _value_and_gradient(shape: ModuleType, vertices: Array, step: float = 1e-3) -> tuple[Array, Array]:
+def _value_and_gradient(shape: ModuleType,
+                        vertices: Array,
+                        step: float = 1e-3) -> tuple[Array, Array]:
     """Return the solid at the vertices (n,) and its slope there (n, 3), by differences over ``step`` mm."""
     shifted = np.concatenate([vertices, *(vertices + step * e for e in np.eye(3))])
     p: Points = (shifted[:, 0], shifted[:, 1], shifted[:, 2])

@@ -10,7 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from gsdf_registration.rigid import Array
-from gsdf_registration.simulation.implicit import Points, carve, ellipsoid, join, moved, tube, unevenness
+from gsdf_registration.simulation.implicit import (
+    Points,
+    carve,
+    ellipsoid,
+    join,
+    moved,
+    tube,
+    unevenness,
+)
 
 HEAD = (-5.0, 11.0, 414.0)      # centre; anteversion 12 degrees, neck-shaft angle 126 degrees
 HEAD_RADIUS = 23.5
@@ -56,9 +64,11 @@ def _proximal(p: Points) -> Array:
     greater = join(greater, tube(p, [(52.0, 2.0, 390.0), (50.0, -9.0, 404.0), (45.0, -16.0, 408.0)],
                                  [11.0, 9.0, 6.0]), 8.0)
     bone = join(bone, greater, 11.0)
-    crest = tube(p, [(47.0, -17.0, 398.0), (36.0, -18.0, 376.0), (20.0, -15.0, 352.0)], [6.0, 5.5, 6.0])
+    crest = tube(p, [(47.0, -17.0, 398.0), (36.0, -18.0, 376.0), (20.0, -15.0, 352.0)],
+                 [6.0, 5.5, 6.0])
     bone = join(bone, crest, 8.0)
-    lesser = tube(p, [(24.0, -4.0, 342.0), (16.0, -15.0, 346.0), (13.0, -19.0, 348.0)], [12.0, 8.0, 5.0])
+    lesser = tube(p, [(24.0, -4.0, 342.0), (16.0, -15.0, 346.0), (13.0, -19.0, 348.0)],
+                  [12.0, 8.0, 5.0])
     bone = join(bone, lesser, 7.0)
     fossa = ellipsoid(p, (35.5, -13.0, 402.0), (7.5, 8.0, 13.0), (0.0, 20.0, 0.0))
     bone = carve(bone, fossa, 5.0)
@@ -71,8 +81,10 @@ def _distal(p: Points) -> Array:
                   ellipsoid(p, (-22.0, 5.0, 26.0), (14.5, 25.0, 26.5), (0.0, 0.0, 14.0)), 10.0)
     lateral = join(ellipsoid(p, (24.5, -18.0, 23.0), (13.5, 19.5, 20.0), (0.0, 0.0, -6.0)),
                    ellipsoid(p, (21.0, 9.0, 27.5), (15.0, 25.0, 25.0), (0.0, 0.0, -8.0)), 10.0)
-    lateral = join(lateral, ellipsoid(p, (16.0, 20.0, 37.0), (12.5, 15.0, 21.0), (14.0, 0.0, 0.0)), 9.0)
-    medial = join(medial, ellipsoid(p, (-14.0, 16.0, 34.0), (11.5, 14.0, 18.0), (14.0, 0.0, 0.0)), 9.0)
+    lateral = join(lateral, ellipsoid(p, (16.0, 20.0, 37.0), (12.5, 15.0, 21.0), (14.0, 0.0, 0.0)),
+                   9.0)
+    medial = join(medial, ellipsoid(p, (-14.0, 16.0, 34.0), (11.5, 14.0, 18.0), (14.0, 0.0, 0.0)),
+                  9.0)
     bone = join(medial, lateral, 8.0)
     bone = join(bone, ellipsoid(p, (0.0, 2.0, 42.0), (35.0, 21.0, 22.0)), 9.0)
     medial_knob = join(ellipsoid(p, (-37.0, -6.0, 33.0), (7.5, 10.0, 11.0)),

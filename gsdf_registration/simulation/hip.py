@@ -10,7 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from gsdf_registration.rigid import Array
-from gsdf_registration.simulation.implicit import Points, carve, ellipsoid, join, polygon, tube, unevenness
+from gsdf_registration.simulation.implicit import (
+    Points,
+    carve,
+    ellipsoid,
+    join,
+    polygon,
+    tube,
+    unevenness,
+)
 
 CUP_RADIUS = 26.0
 CUP_AXIS = np.array([0.745, 0.300, -0.596])     # the way the acetabulum opens
@@ -23,12 +31,12 @@ LANDMARKS = {'anterior_superior_iliac_spine': (33.0, 58.0, 78.0),
 
 # The wing lies along this horizontal direction; u runs along it (anterior), w across it (outward).
 ALONG = np.array([0.515, 0.857])
-# u, z of its outline: from the roof of the acetabulum over the anterior spines along the crest to the
-# posterior spines, and back through the greater sciatic notch
-OUTLINE = [(26.0, 10.0), (42.0, 30.0), (47.0, 43.0), (45.0, 54.0), (56.0, 64.0), (63.0, 76.0), (60.0, 88.0),
-           (49.0, 105.0), (30.0, 122.0), (6.0, 131.0), (-22.0, 132.0), (-52.0, 123.0), (-80.0, 106.0),
-           (-102.0, 86.0), (-107.0, 72.0), (-98.0, 62.0), (-98.0, 48.0), (-84.0, 37.0), (-62.0, 41.0),
-           (-43.0, 38.0), (-33.0, 20.0), (-34.0, 0.0), (0.0, -10.0)]
+# u, z of its outline: from the roof of the acetabulum over the anterior spines along the crest to
+# the posterior spines, and back through the greater sciatic notch
+OUTLINE = [(26.0, 10.0), (42.0, 30.0), (47.0, 43.0), (45.0, 54.0), (56.0, 64.0), (63.0, 76.0),
+           (60.0, 88.0), (49.0, 105.0), (30.0, 122.0), (6.0, 131.0), (-22.0, 132.0), (-52.0, 123.0),
+           (-80.0, 106.0), (-102.0, 86.0), (-107.0, 72.0), (-98.0, 62.0), (-98.0, 48.0),
+           (-84.0, 37.0), (-62.0, 41.0), (-43.0, 38.0), (-33.0, 20.0), (-34.0, 0.0), (0.0, -10.0)]
 
 
 def solid(p: Points) -> Array:
@@ -39,25 +47,37 @@ def solid(p: Points) -> Array:
 
 
 def _wing(p: Points) -> Array:
-    """Return the iliac wing: a bent plate, thin in its middle, thick at the crest, with its four spines."""
+    """
+    Return the iliac wing.
+
+    A bent plate, thin in its middle, thick at the crest, with its four spines.
+    """
     x, y, z = p
     u = ALONG[0] * x + ALONG[1] * y
     w = ALONG[1] * x - ALONG[0] * y
     rise = np.clip((z - 20.0) / 110.0, 0.0, 1.2)
-    middle = -8.0 + 36.0 * rise**1.4 * _hump(u, 16.0, 52.0) - 9.0 * rise * np.tanh((u - 40.0) / 12.0)
+    middle = -8.0 + 36.0 * rise**1.4 * _hump(u, 16.0, 52.0) - 9.0 * rise * np.tanh(
+        (u - 40.0) / 12.0)
     outline = polygon(u, z, OUTLINE)
     inward = np.maximum(-outline, 0.0)
-    crest = _hump(inward, 0.0, 8.0) * (0.8 + 0.5 * np.sin(0.055 * u + 0.6) * np.tanh((z - 60.0) / 30.0))
+    crest = _hump(inward, 0.0, 8.0) * (0.8 + 0.5 * np.sin(0.055 * u + 0.6) * np.tanh(
+        (z - 60.0) / 30.0))
     pillar = _hump(u - 0.35 * z, 4.0, 16.0)
-    thick = 2.8 + 4.0 * crest + 3.0 * pillar + 6.0 * _hump(z, 10.0, 28.0) + 6.5 * _hump(u, -88.0, 30.0)
+    thick = 2.8 + 4.0 * crest + 3.0 * pillar + 6.0 * _hump(z, 10.0, 28.0) + 6.5 * _hump(
+        u, -88.0, 30.0)
     plate = (np.abs(w - middle) - thick) * 0.86     # the plate is steep: w overstates the distance
     wing = carve(plate, -outline, 9.0)
-    for path, radii in (([(26.0, 48.0, 84.0), (30.0, 53.0, 74.0), (28.0, 51.0, 66.0)], [5.0, 6.5, 4.0]),
-                        ([(14.0, 32.0, 46.0), (20.0, 37.0, 38.0), (17.0, 31.0, 26.0)], [5.0, 7.5, 6.0]),
-                        ([(-44.0, -80.0, 92.0), (-50.0, -90.0, 80.0), (-49.0, -88.0, 70.0)], [7.0, 8.5, 5.0]),
-                        ([(-46.0, -82.0, 56.0), (-47.0, -79.0, 46.0)], [6.0, 6.5])):
+    for path, radii in (([(26.0, 48.0, 84.0), (30.0, 53.0, 74.0),
+                          (28.0, 51.0, 66.0)], [5.0, 6.5,
+                                                4.0]), ([(14.0, 32.0, 46.0), (20.0, 37.0, 38.0),
+                                                         (17.0, 31.0, 26.0)], [5.0, 7.5, 6.0]),
+                        ([(-44.0, -80.0, 92.0), (-50.0, -90.0, 80.0),
+                          (-49.0, -88.0, 70.0)], [7.0,
+                                                  8.5, 5.0]), ([(-46.0, -82.0, 56.0),
+                                                                (-47.0, -79.0, 46.0)], [6.0, 6.5])):
         wing = join(wing, tube(p, path, radii), 12.0)
-    ear = ellipsoid(p, (-46.0, -63.0, 60.0), (9.0, 24.0, 17.0), (24.0, 0.0, -28.0))     # sacro-iliac joint
+    # sacro-iliac joint
+    ear = ellipsoid(p, (-46.0, -63.0, 60.0), (9.0, 24.0, 17.0), (24.0, 0.0, -28.0))
     tuberosity = ellipsoid(p, (-48.0, -74.0, 84.0), (10.0, 15.0, 11.0), (-30.0, 0.0, -28.0))
     return join(join(wing, ear, 6.0), tuberosity, 8.0)
 
@@ -67,21 +87,27 @@ def _hump(x: Array, centre: float, width: float) -> Array:
 
 
 def _columns(p: Points) -> Array:
-    """Return the thick bars that meet at the acetabulum, with the brim of the pelvis, and its shell."""
+    """
+    Return the thick bars that meet at the acetabulum, with the brim of the pelvis, and its shell.
+    """
     shell = ellipsoid(p, (-3.5, -1.0, 2.0), (33.0, 33.5, 33.5))
-    brim = tube(p, [(-44.0, -58.0, 52.0), (-31.0, -32.0, 33.0), (-25.0, -4.0, 15.0), (-36.0, 24.0, 2.0)],
-                [10.0, 10.5, 9.0, 9.0])
+    brim = tube(p, [(-44.0, -58.0, 52.0), (-31.0, -32.0, 33.0), (-25.0, -4.0, 15.0),
+                    (-36.0, 24.0, 2.0)], [10.0, 10.5, 9.0, 9.0])
     posterior = tube(p, [(-18.0, -24.0, 30.0), (-16.0, -28.0, 4.0), (-17.0, -31.0, -24.0)],
                      [12.0, 12.0, 13.0])
-    spine = tube(p, [(-18.0, -32.0, -6.0), (-27.0, -42.0, -14.0), (-36.0, -50.0, -20.0)], [13.0, 8.0, 3.0])
+    spine = tube(p, [(-18.0, -32.0, -6.0), (-27.0, -42.0, -14.0), (-36.0, -50.0, -20.0)],
+                 [13.0, 8.0, 3.0])
     roof = tube(p, [(8.0, 4.0, 28.0), (5.0, 14.0, 44.0)], [13.0, 10.0])
     bone = join(join(shell, brim, 12.0), posterior, 12.0)
     return join(join(bone, spine, 7.0), roof, 14.0)
 
 
 def _pubis_and_ischium(p: Points) -> Array:
-    """Return the ring round the obturator foramen: pubic rami, symphysis, ischium and its tuberosity."""
-    superior = tube(p, [(-18.0, 19.0, -1.0), (-42.0, 35.0, -3.0), (-72.0, 44.0, -11.0)], [15.0, 8.5, 9.0])
+    """
+    Return the ring round the obturator foramen: pubic rami, symphysis, ischium and its tuberosity.
+    """
+    superior = tube(p, [(-18.0, 19.0, -1.0), (-42.0, 35.0, -3.0), (-72.0, 44.0, -11.0)],
+                    [15.0, 8.5, 9.0])
     body = ellipsoid(p, (-77.0, 40.0, -23.0), (12.0, 8.5, 21.0), (28.0, 18.0, 16.0))
     tubercle = ellipsoid(p, (-64.0, 49.0, -5.0), (7.0, 4.5, 4.5))
     inferior = _flat_ramus(p)
@@ -96,8 +122,8 @@ def _pubis_and_ischium(p: Points) -> Array:
 
 def _flat_ramus(p: Points) -> Array:
     """Return the ramus that joins pubis and ischium: a band of two tubes."""
-    inner = tube(p, [(-76.0, 33.0, -36.0), (-62.0, 13.0, -54.0), (-44.0, -8.0, -67.0), (-24.0, -24.0, -70.0)],
-                 [7.0, 5.0, 5.5, 10.0])
+    inner = tube(p, [(-76.0, 33.0, -36.0), (-62.0, 13.0, -54.0), (-44.0, -8.0, -67.0),
+                     (-24.0, -24.0, -70.0)], [7.0, 5.0, 5.5, 10.0])
     outer = tube(p, [(-76.0, 36.0, -44.0), (-64.0, 12.0, -63.0), (-45.0, -12.0, -77.0),
                      (-24.0, -30.0, -80.0)], [6.5, 4.5, 4.5, 8.0])
     return join(inner, outer, 9.0)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Implicit solids: functions of points that are negative inside, near the signed distance in millimetres.
+Implicit solids: functions of points that are negative inside, near the signed distance in
+millimetres.
 
-Every function takes points as three arrays ``p = (x, y, z)`` of one shape and returns an array of that shape.
+Every function takes points as three arrays ``p = (x, y, z)`` of one shape and returns an array of
+that shape.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ Points = tuple[Array, Array, Array]
 
 
 def join(a: Array, b: Array, blend: float) -> Array:
-    """Return the union of two solids, their seam filled over ``blend`` mm (polynomial smooth minimum)."""
+    """
+    Return the union of two solids, their seam filled over ``blend`` mm (polynomial smooth minimum).
+    """
     h = np.maximum(blend - np.abs(a - b), 0.0) / blend
     return np.minimum(a, b) - h * h * blend / 4.0
 
@@ -37,7 +41,8 @@ def moved(p: Points, centre: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> Po
     return x, y, z
 
 
-def ellipsoid(p: Points, centre: ArrayLike, radii: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+def ellipsoid(p: Points, centre: ArrayLike, radii: ArrayLike,
+              turn: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
     """Return an ellipsoid (sphere if the radii agree), to first order a distance."""
     q = moved(p, centre, turn)
     a, b, c = np.asarray(radii, dtype=np.float64)
@@ -47,7 +52,9 @@ def ellipsoid(p: Points, centre: ArrayLike, radii: ArrayLike, turn: ArrayLike = 
 
 
 def tube(p: Points, path: ArrayLike, radii: Sequence[float], pieces: int = 4) -> Array:
-    """Return a bent, tapered tube: spheres of ``radii`` swept along a curve through ``path`` (n, 3)."""
+    """
+    Return a bent, tapered tube: spheres of ``radii`` swept along a curve through ``path`` (n, 3).
+    """
     path = np.asarray(path, dtype=np.float64)
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     s = np.unique(np.concatenate([np.linspace(a, b, pieces + 1) for a, b in zip(knots, knots[1:])]))

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording holds besides the bone: strays, soft tissue, lift-offs, other objects, a resting tip."""
+"""
+What a recording holds besides the bone.
+
+Strays, soft tissue, lift-offs, other objects, a resting tip.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +55,8 @@ class Interference:
         shares = {Kind[share.name.upper()]: getattr(self, share.name) for share in fields(self)}
         rest = 1.0 - sum(shares.values())
         if min(shares.values()) < 0.0 or rest < 1e-6:
-            raise InputError('the shares of interference must each lie in [0, 1) and together stay below 1')
+            raise InputError(
+                'the shares of interference must each lie in [0, 1) and together stay below 1')
         return {kind: round(share / rest * points) for kind, share in shares.items()}
 
 
@@ -59,7 +64,9 @@ NONE = Interference()
 
 
 class Samples(NamedTuple):
-    """Samples in order: tips (n, 3) m, kinds (n,), strokes (n,), ticks (n,) since the sample before."""
+    """
+    Samples in order: tips (n, 3) m, kinds (n,), strokes (n,), ticks (n,) since the sample before.
+    """
 
     tips: Array
     kinds: NDArray[np.uint8]
@@ -70,9 +77,11 @@ class Samples(NamedTuple):
 @dataclass(eq=False)
 class Run:
     """
-    Consecutive samples: tips (n, 3) m, kinds (n,), ticks (n,) since the sample before, normals (n, 3).
+    Consecutive samples: tips (n, 3) m, kinds (n,), ticks (n,) since the sample before, normals (n,
+    3).
 
-    A tick is a period of the tracker.  ``linked``: it belongs to the stroke before and follows at once.
+    A tick is a period of the tracker.  ``linked``: it belongs to the stroke before and follows at
+    once.
     """
 
     tips: Array
@@ -105,14 +114,17 @@ def disturbed(strokes: list[Run], patch: Patch, counts: dict[Kind, int], rng: np
             run.ticks[0] += rng.uniform(*pause)
     runs[0].ticks[0] = 1.0
     number = np.cumsum([not run.linked for run in runs]) - 1
-    samples = Samples(np.concatenate([run.tips for run in runs]), np.concatenate([run.kinds for run in runs]),
+    samples = Samples(np.concatenate([run.tips for run in runs]),
+                      np.concatenate([run.kinds for run in runs]),
                       np.repeat(number, [len(run.ticks) for run in runs]).astype(np.int32),
                       np.concatenate([run.ticks for run in runs]))
     return _with_strays(samples, patch.bounds, counts[Kind.UNIFORM], rng)
 
 
 def _lift_on_tissue(strokes: list[Run], count: int, rng: np.random.Generator) -> None:
-    """Put soft tissue on a few places of the bone: the ``count`` samples nearest to them ride over it."""
+    """
+    Put soft tissue on a few places of the bone: the ``count`` samples nearest to them ride over it.
+    """
     if count == 0:
         return
     tips = np.concatenate([run.tips for run in strokes])
@@ -157,12 +169,18 @@ def _other_strokes(patch: Patch, count: int, step: float, rng: np.random.Generat
 
 
 def _resting_strokes(patch: Patch, count: int, rng: np.random.Generator) -> list[Run]:
-    """Return ``count`` samples of a tip that stays where it is, at one or two places on the bone."""
+    """
+    Return ``count`` samples of a tip that stays where it is, at one or two places on the bone.
+    """
     if count == 0:
         return []
     places, _ = patch.random_points(2, rng)
-    split = np.bincount(rng.integers(0, 2, count) if count > 400 else np.zeros(count, dtype=int), minlength=2)
-    return [_run(np.repeat(place[None], n, axis=0), Kind.RESTING) for place, n in zip(places, split) if n]
+    split = np.bincount(rng.integers(0, 2, count) if count > 400 else np.zeros(count, dtype=int),
+                        minlength=2)
+    return [
+        _run(np.repeat(place[None], n, axis=0), Kind.RESTING) for place, n in zip(places, split)
+        if n
+    ]
 
 
 def _with_arcs(strokes: list[Run], approach: Array, count: int, step: float,

@@ -43,7 +43,8 @@ class Patch:
         """Return the centroid (3,) of the surface."""
         return np.average(self.corners.mean(axis=1), axis=0, weights=self.areas)
 
-    def random_points(self, count: int, rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
+    def random_points(self, count: int,
+                      rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
         """Return points (count, 3) uniform over the surface and their triangles (count,)."""
         rising = np.cumsum(self.areas)
         face = np.minimum(np.searchsorted(rising, rng.random(count) * rising[-1]), len(rising) - 1)
@@ -56,7 +57,8 @@ class Patch:
 def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radius: float,
                   approach: ArrayLike | None = None) -> Patch:
     """
-    Return what a probe can reach: in a ball, facing the wound, connected to what is nearest to ``centre``.
+    Return what a probe can reach: in a ball, facing the wound, connected to what is nearest to
+    ``centre``.
 
     Parameters
     ----------
@@ -81,25 +83,29 @@ def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radi
     approach = np.asarray(approach, dtype=np.float64) / np.linalg.norm(approach)
     kept = np.flatnonzero((away < radius) & (areas > 0.0) & (normals @ approach > FACING))
     if len(kept) < 10:
-        raise InputError('there is hardly any bone in the region; give another centre or a larger radius')
+        raise InputError(
+            'there is hardly any bone in the region; give another centre or a larger radius')
     neighbours = _neighbours(faces[kept])
     one = _component(neighbours, int(np.argmin(away[kept])))
-    renumbered = np.append(np.cumsum(one) - 1, -1).astype(np.int32)     # the last entry serves index -1
+    # the last entry serves index -1
+    renumbered = np.append(np.cumsum(one) - 1, -1).astype(np.int32)
     kept = kept[one]
     return Patch(corners[kept], normals[kept], renumbered[neighbours[one]], areas[kept], approach,
                  np.array([vertices.min(axis=0), vertices.max(axis=0)]))
 
 
 def whole_surface(vertices: Array, faces: NDArray[np.int64]) -> Patch:
-    """Return all of a closed surface (vertices m, outward faces) as a patch, approached from above."""
+    """
+    Return all of a closed surface (vertices m, outward faces) as a patch, approached from above.
+    """
     corners = vertices[faces]
     normals, areas = _normals_and_areas(corners)
     return Patch(corners, normals, _neighbours(faces), areas, np.array([0.0, 0.0, 1.0]),
                  np.array([vertices.min(axis=0), vertices.max(axis=0)]))
 
 
-def walk(patch: Patch, starts: Array, faces: NDArray[np.int64], headings: Array, strokes: NDArray[np.int64],
-         steps: Array, turns: Array) -> tuple[Array, NDArray[np.int64]]:
+def walk(patch: Patch, starts: Array, faces: NDArray[np.int64], headings: Array,
+         strokes: NDArray[np.int64], steps: Array, turns: Array) -> tuple[Array, NDArray[np.int64]]:
     """
     Walk over a patch along steered geodesics: straight across every edge, bouncing off the border.
 
@@ -120,8 +126,8 @@ def walk(patch: Patch, starts: Array, faces: NDArray[np.int64], headings: Array,
     """
     points = np.zeros((len(steps), 3))
     triangles = np.zeros(len(steps), dtype=np.int64)
-    _walk(patch.corners, patch.normals, patch.neighbours, starts, faces, headings, strokes, steps, turns,
-          points, triangles)
+    _walk(patch.corners, patch.normals, patch.neighbours, starts, faces, headings, strokes, steps,
+          turns, points, triangles)
     return points, triangles
 
 
@@ -154,7 +160,8 @@ def _component(neighbours: NDArray[np.int32], seed: int) -> NDArray[np.bool_]:
 
 @nb.njit(nogil=True, cache=True)
 def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 @nb.njit(nogil=True, cache=True)
@@ -169,8 +176,8 @@ def _turned(d: Array, n: Array, angle: float) -> Array:
 
 @nb.njit(nogil=True, cache=True)
 def _walk(corners: Array, normals: Array, neighbours: NDArray[np.int32], starts: Array,
-          faces: NDArray[np.int64], headings: Array, strokes: NDArray[np.int64], steps: Array, turns: Array,
-          points: Array, triangles: NDArray[np.int64]) -> None:
+          faces: NDArray[np.int64], headings: Array, strokes: NDArray[np.int64], steps: Array,
+          turns: Array, points: Array, triangles: NDArray[np.int64]) -> None:
     """Fill ``points`` and ``triangles``, see `walk`."""
     f = 0
     p = starts[0].copy()
@@ -214,7 +221,8 @@ def _step(corners: Array, normals: Array, neighbours: NDArray[np.int32], p: Arra
         if to < 0:
             d = _unit(d - 2.0 * np.dot(d, out) * out)
         else:
-            # unfold the next triangle about the edge: the part along it stays, the part across goes on inward
+            # unfold the next triangle about the edge: the part along it stays, the part across goes
+            # on inward
             d = _unit(np.dot(d, along) * along + np.dot(d, out) * _cross(along, normals[to]))
             f = to
     return p, d, f

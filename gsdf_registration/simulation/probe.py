@@ -9,8 +9,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
-from gsdf_registration.rigid import Array, from_rt, rotation_exp, rotation_from_quaternion, transform
-from gsdf_registration.simulation.interference import NONE, Interference, Kind, Run, Samples, disturbed
+from gsdf_registration.rigid import (
+    Array,
+    from_rt,
+    rotation_exp,
+    rotation_from_quaternion,
+    transform,
+)
+from gsdf_registration.simulation.interference import (
+    NONE,
+    Interference,
+    Kind,
+    Run,
+    Samples,
+    disturbed,
+)
 from gsdf_registration.simulation.patch import Patch, walk
 
 
@@ -62,8 +75,14 @@ class Drag:
         return (self.kinds == Kind.SURFACE) | (self.kinds == Kind.RESTING)
 
 
-def drag(patch: Patch, points: int, rng: np.random.Generator, *, tracker: Tracker = Tracker(),
-         interference: Interference = NONE, hand: Hand = Hand(), T_tracker_bone: Array | None = None) -> Drag:
+def drag(patch: Patch,
+         points: int,
+         rng: np.random.Generator,
+         *,
+         tracker: Tracker = Tracker(),
+         interference: Interference = NONE,
+         hand: Hand = Hand(),
+         T_tracker_bone: Array | None = None) -> Drag:
     """
     Drag a probe over ``patch`` in curved strokes.
 
@@ -71,7 +90,8 @@ def drag(patch: Patch, points: int, rng: np.random.Generator, *, tracker: Tracke
     ----------
     patch : Patch, bone frame
     points : int
-        Samples of kind `Kind.SURFACE`, exactly; interference comes on top, each kind with its share of all.
+        Samples of kind `Kind.SURFACE`, exactly; interference comes on top, each kind with its share
+        of all.
     rng : numpy Generator; the same state gives the same recording
     tracker, interference, hand : how it is measured, disturbed and moved
     T_tracker_bone : (4, 4) float; None: identity
@@ -94,8 +114,13 @@ def drag(patch: Patch, points: int, rng: np.random.Generator, *, tracker: Tracke
     return _tracked(samples, tracker, T_tracker_bone, rng)
 
 
-def rest(places: ArrayLike, rng: np.random.Generator, *, tracker: Tracker = Tracker(), seconds: float = 1.0,
-         apart: float = 2.0, miss: tuple[float, float] = (0.002, 0.004),
+def rest(places: ArrayLike,
+         rng: np.random.Generator,
+         *,
+         tracker: Tracker = Tracker(),
+         seconds: float = 1.0,
+         apart: float = 2.0,
+         miss: tuple[float, float] = (0.002, 0.004),
          T_tracker_bone: Array | None = None) -> Drag:
     """
     Touch landmarks one after another, missing each by a little, and rest there.
@@ -119,25 +144,32 @@ def rest(places: ArrayLike, rng: np.random.Generator, *, tracker: Tracker = Trac
     strokes = np.repeat(np.arange(len(places), dtype=np.int32), each)
     ticks = 1.0 + np.diff(strokes, prepend=0) * apart * tracker.rate
     kinds = np.full(len(strokes), Kind.RESTING, dtype=np.uint8)
-    return _tracked(Samples((places + side)[strokes], kinds, strokes, ticks), tracker, T_tracker_bone, rng)
+    return _tracked(Samples((places + side)[strokes], kinds, strokes, ticks), tracker,
+                    T_tracker_bone, rng)
 
 
 def measured(positions: Array, tracker: Tracker, rng: np.random.Generator) -> Array:
-    """Return true ``positions`` (n, 3), m, tracker frame, with the tracker's distortion and noise."""
+    """
+    Return true ``positions`` (n, 3), m, tracker frame, with the tracker's distortion and noise.
+    """
     waves = rng.normal(0.0, 2.0 * np.pi / 0.4, (3, 3))      # 1/m: some 0.4 m long
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     bent = tracker.distortion * np.sqrt(2.0 / 3.0) * np.sin(positions @ waves.T + phases)
     return positions + bent + rng.normal(size=positions.shape) * np.broadcast_to(tracker.sigma, 3)
 
 
-def random_pose(rng: np.random.Generator, *, angle: float | None = None, translation: float = 1.0) -> Array:
+def random_pose(rng: np.random.Generator,
+                *,
+                angle: float | None = None,
+                translation: float = 1.0) -> Array:
     """
     Return a random rigid motion (4, 4).
 
     Parameters
     ----------
     angle : float, rad
-        The rotation is of up to this much about x, then y, then z; None: uniform over all rotations.
+        The rotation is of up to this much about x, then y, then z; None: uniform over all
+        rotations.
     translation : float, m, up to this much along each axis
 
     """
@@ -158,7 +190,8 @@ def _tracked(samples: Samples, tracker: Tracker, T_tracker_bone: Array | None,
     return Drag(stamps, positions, samples.tips, samples.kinds, samples.strokes, T)
 
 
-def _strokes(patch: Patch, count: int, rng: np.random.Generator, tracker: Tracker, hand: Hand) -> list[Run]:
+def _strokes(patch: Patch, count: int, rng: np.random.Generator, tracker: Tracker,
+             hand: Hand) -> list[Run]:
     """Return ``count`` samples in strokes over the bone; what drop-outs cost is walked on top."""
     lost = round(tracker.dropouts / (1.0 - tracker.dropouts) * count)
     n = count + lost

@@ -17,7 +17,10 @@ CUP_OR_HEAD = (0.017, 0.030)    # m, radii
 LEAST_AREA = 0.0017             # m^2, of a cup or head; what is round elsewhere has less
 
 
-def named_patch(region: str, vertices: Array, faces: np.ndarray, radius: float | None = None) -> Patch:
+def named_patch(region: str,
+                vertices: Array,
+                faces: np.ndarray,
+                radius: float | None = None) -> Patch:
     """
     Return the exposed patch of a named region.
 
@@ -37,8 +40,10 @@ def named_patch(region: str, vertices: Array, faces: np.ndarray, radius: float |
     if region not in RADIUS:
         raise InputError(f'region "{region}" is not known; say one of {", ".join(RADIUS)}')
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    centre, approach = {'acetabulum': _acetabulum, 'proximal_femur': _proximal_femur, 'condyles': _condyles,
-                        'proximal_tibia': _proximal_tibia}[region](mesh)
+    centre, approach = {
+        'acetabulum': _acetabulum, 'proximal_femur': _proximal_femur, 'condyles': _condyles,
+        'proximal_tibia': _proximal_tibia
+    }[region](mesh)
     return exposed_patch(vertices, faces, centre, radius or RADIUS[region], approach)
 
 
@@ -85,7 +90,9 @@ def _ends(mesh: trimesh.Trimesh) -> list[tuple[Array, Array]]:
 
 
 def _samples(mesh: trimesh.Trimesh, count: int = 3000) -> tuple[Array, Array]:
-    """Return points (count, 3) spread over the surface and its outward normals there; always the same."""
+    """
+    Return points (count, 3) spread over the surface and its outward normals there; always the same.
+    """
     points, face = trimesh.sample.sample_surface(mesh, count, seed=0)
     return np.asarray(points), np.asarray(mesh.face_normals[face])
 
@@ -119,8 +126,9 @@ def _sphere(mesh: trimesh.Trimesh, hollow: bool, tries: int = 3000) -> tuple[Arr
         if on.sum() > best:
             best, members = int(on.sum()), on
     if mesh.area * best / len(points) < LEAST_AREA:
-        raise InputError(f'the bone has no {"cup" if hollow else "head"} of 17 to 30 mm radius: is this the '
-                         'right bone? else give the region as x,y,z,radius')
+        raise InputError(
+            f'the bone has no {"cup" if hollow else "head"} of 17 to 30 mm radius: is this the '
+            'right bone? else give the region as x,y,z,radius')
     # least squares through its members: |x|^2 = 2 c.x + (r^2 - |c|^2)
     on_it = points[members]
     rows = np.column_stack([2.0 * on_it, np.ones(best)])

@@ -29,10 +29,13 @@ class Solution:
 
     T_bone_tracker : (4, 4) float, metres
     weights : (n,) float in [0, 1], how much each point bears
-    residuals : (n,) float, metres, signed distance of each point at the pose; NaN where it was discarded before
-    jacobian : (n, 6) float, d residual / d [rotation about the centroid of the points, translation], bone axes
+    residuals : (n,) float, metres, signed distance of each point at the pose; NaN where it was
+        discarded before
+    jacobian : (n, 6) float, d residual / d [rotation about the centroid of the points,
+        translation], bone axes
     curvature : (n,) float, d(w e)/de, less than the weight where a point is about to be given up
-    score : float, log-likelihood (mixture) or sum of the weights (paper): of two solutions of the same points, the higher is better
+    score : float, log-likelihood (mixture) or sum of the weights (paper): of two solutions of the
+        same points, the higher is better
     settled : bool, whether the end was reached by settling
     termination : str, why it ended, in words
     iterations : int
@@ -51,7 +54,11 @@ class Solution:
     history: tuple[Iteration, ...] = ()
 
 
-def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig, history: bool = False,
+def solve(points: Array,
+          field: Field,
+          T_bone_tracker: Array,
+          config: SolverConfig,
+          history: bool = False,
           neighbours: NDArray[np.int64] | None = None) -> Solution:
     """
     Return the local solution from a first guess.
@@ -71,41 +78,53 @@ def solve(points: Array, field: Field, T_bone_tracker: Array, config: SolverConf
     if neighbours is None:
         neighbours = nearest_neighbours(points, config.neighbours)
     plain = _mixture(points, neighbours, field, T_bone_tracker, config, history)
-    # Soft tissue may have drawn that solution outward: start again from the lower envelope of the points
+    # Soft tissue may have drawn that solution outward: start again from the lower envelope of the
+    # points
     lifted = _mixture(points, neighbours, field, plain.T_bone_tracker, config, history, lift=0.05)
     return max(plain, lifted, key=lambda solution: solution.score)
 
 
 def nearest_neighbours(points: Array, count: int) -> NDArray[np.int64]:
-    """Return the indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first."""
+    """
+    Return the indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first.
+    """
     nearest = cKDTree(points).query(points, k=min(count, len(points)))[1]
     return np.ascontiguousarray(nearest.reshape(len(points), -1), dtype=np.int64)
 
 
-def _mixture(points: Array, neighbours: NDArray[np.int64], field: Field, T_bone_tracker: Array, config: SolverConfig,
-             history: bool, lift: float = 1.0) -> Solution:
+def _mixture(points: Array,
+             neighbours: NDArray[np.int64],
+             field: Field,
+             T_bone_tracker: Array,
+             config: SolverConfig,
+             history: bool,
+             lift: float = 1.0) -> Solution:
     """Return the solution of `expectation_maximization`."""
     centred, R, t = _about_centroid(points, T_bone_tracker)
     weight, e, J = np.zeros(len(points)), np.zeros(len(points)), np.zeros((len(points), 6))
     steps = gauss_newton.empty_history(config.max_iterations)
-    ended, rounds, _, likelihood = expectation_maximization(
-        field.arrays, centred, R, t, neighbours, weight, e, J, steps, START, COOLING, lift, config.reach,
-        config.model_error, config.tolerance)
+    ended, rounds, _, likelihood = expectation_maximization(field.arrays, centred, R, t, neighbours,
+                                                            weight, e, J, steps, START, COOLING,
+                                                            lift, config.reach, config.model_error,
+                                                            config.tolerance)
     return _solution(points, R, t, weight, e, J, weight, likelihood, ended, steps[:rounds], history)
 
 
-def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig, history: bool) -> Solution:
+def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
+           history: bool) -> Solution:
     """Return the solution of `algorithm_1`."""
     centred, R, t = _about_centroid(points, T_bone_tracker)
     keep, weight = np.ones(len(points), dtype=np.bool_), np.zeros(len(points))
     e, J = np.zeros(len(points)), np.zeros((len(points), 6))
     steps = gauss_newton.empty_history(config.max_iterations)
-    ended, rounds = algorithm_1(field.arrays, centred, R, t, keep, weight, e, J, steps, config.cauchy_scale,
-                                config.discard_below, config.weight_tolerance, config.hold)
+    ended, rounds = algorithm_1(field.arrays, centred, R, t, keep, weight, e, J, steps,
+                                config.cauchy_scale, config.discard_below, config.weight_tolerance,
+                                config.hold)
     e[~keep] = np.nan
     # d(w e)/de of the Cauchy weight
     curvature = np.where(keep, weight * (2.0 * weight - 1.0), 0.0)
-    return _solution(points, R, t, weight, e, J, curvature, float(weight.sum()), ended, steps[:rounds], history)
+    return _solution(points, R, t, weight, e, J, curvature, float(weight.sum()), ended,
+                     steps[:rounds], history)
 
 
 def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array]:
@@ -115,8 +134,12 @@ def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array,
             rigid.transform(T_bone_tracker, centre))
 
 
-def _solution(points: Array, R: Array, t: Array, weight: Array, e: Array, J: Array, curvature: Array, score: float,
-              ended: int, steps: Array, history: bool) -> Solution:
+def _solution(points: Array, R: Array, t: Array, weight: Array, e: Array, J: Array,
+              curvature: Array, score: float, ended: int, steps: Array, history: bool) -> Solution:
     T = rigid.orthonormalized(rigid.from_rt(R, t - R @ points.mean(axis=0)))
-    return Solution(T, weight, e, J, curvature, score, ended == gauss_newton.SETTLED, gauss_newton.TERMINATION[ended], len(steps),
-                    tuple(Iteration(cost, turn, shift, int(used)) for cost, turn, shift, used in steps.tolist()) if history else ())
+    return Solution(
+        T, weight, e, J, curvature, score, ended == gauss_newton.SETTLED,
+        gauss_newton.TERMINATION[ended], len(steps),
+        tuple(
+            Iteration(cost, turn, shift, int(used))
+            for cost, turn, shift, used in steps.tolist()) if history else ())

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The default method: every point is on the bone or not, and how likely it is follows from what lies round it.
+The default method: every point is on the bone or not, and how likely it is follows from what lies
+round it.
 
-A tracker's noise is white from one sample to the next; soft tissue, another object or a wrong pose is not.  So the mean residual of a
-point and its neighbours, whose noise is small, tells bone from interference long before the point's own residual does.  Expectation
-maximization (Dempster, Laird, Rubin 1977) with everything estimated: the noise, the scatter of the means, the share of interference.
-Nothing is given up for good.  Soft tissue only ever lies outside, hence the uneven density of interference.
+A tracker's noise is white from one sample to the next; soft tissue, another object or a wrong pose
+is not.  So the mean residual of a point and its neighbours, whose noise is small, tells bone from
+interference long before the point's own residual does.  Expectation maximization (Dempster, Laird,
+Rubin 1977) with everything estimated: the noise, the scatter of the means, the share of
+interference. Nothing is given up for good.  Soft tissue only ever lies outside, hence the uneven
+density of interference.
 """
 
 from __future__ import annotations
@@ -28,25 +31,30 @@ from gsdf_registration.solver.gauss_newton import (
 )
 
 OUTSIDE = 0.9       # share of the interference that lies outside the bone
-LONE = 5.0          # a point this much less likely than its neighbours (3.2 sigma) is interference of its own
+# a point this much less likely than its neighbours (3.2 sigma) is interference of its own
+LONE = 5.0
 ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
 @kernel
-def expectation_maximization(field, points, R, t, neighbours, weight, e, J, history, scatter, cooling, lift, reach,
-                             model_error, tolerance):
+def expectation_maximization(field, points, R, t, neighbours, weight, e, J, history, scatter,
+                             cooling, lift, reach, model_error, tolerance):
     """
     Run EM with one Gauss-Newton step a round, in place on ``R`` (3, 3), ``t`` (3,).
 
     points : (n, 3), about their centroid
     neighbours : (n, K) the nearest points of each, itself first
-    scatter : standard deviation of the mean residuals to begin with; it falls by ``cooling`` a round until it is what white noise gives
-        (graduated non-convexity: wide at first, strict in the end), then it is estimated, at most ``model_error``
-    lift : weight of points outside the bone while it falls; below one, the bone is lifted to the lower envelope of the points
+    scatter : standard deviation of the mean residuals to begin with; it falls by ``cooling`` a
+        round until it is what white noise gives
+        (graduated non-convexity: wide at first, strict in the end), then it is estimated, at most
+        ``model_error``
+    lift : weight of points outside the bone while it falls; below one, the bone is lifted to the
+        lower envelope of the points
     reach : interference is sought this far from the bone
     tolerance : length of the last step
 
-    Returns (termination, iterations, scatter, log-likelihood); ``weight`` is the probability that a point is on the bone.
+    Returns (termination, iterations, scatter, log-likelihood); ``weight`` is the probability that a
+    point is on the bone.
     """
     n, K = neighbours.shape
     keep = np.ones(n, dtype=np.bool_)
@@ -69,7 +77,9 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
         _expectation(e, mean, K, share, noise, scatter, reach, weight)
         if strict:
             share = min(max(weight.mean(), 0.2), 0.98)
-            scatter = min(max(math.sqrt((weight * mean * mean).sum() / max(weight.sum(), 1.0)), white), max(model_error, white))
+            scatter = min(
+                max(math.sqrt((weight * mean * mean).sum() / max(weight.sum(), 1.0)), white),
+                max(model_error, white))
         elif lift < 1.0:
             for k in range(n):
                 if e[k] > 0.0:
@@ -85,14 +95,17 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
             break
     linearize(field, points, R, t, keep, e, J)
     _local_means(e, neighbours, reach, mean)
-    likelihood = _expectation(e, mean, K, share, _white_noise(e, mean, K, reach, floor), scatter, reach, weight)
+    likelihood = _expectation(e, mean, K, share, _white_noise(e, mean, K, reach, floor), scatter,
+                              reach, weight)
     settled = history[iteration, 1] * size + history[iteration, 2] < tolerance
     return SETTLED if settled else EXHAUSTED, iteration + 1, scatter, likelihood
 
 
 @kernel
 def _local_means(e, neighbours, reach, mean):
-    """Fill ``mean`` (n,) with the mean residual of each point's neighbours, those far off left out."""
+    """
+    Fill ``mean`` (n,) with the mean residual of each point's neighbours, those far off left out.
+    """
     n, K = neighbours.shape
     for k in range(n):
         total = 0.0
@@ -122,7 +135,8 @@ def _white_noise(e, mean, K, reach, floor):
 @kernel
 def _expectation(e, mean, K, share, noise, scatter, reach, weight):
     """
-    Fill ``weight`` with the probability that each point is on the bone; return the log-likelihood of the local means.
+    Fill ``weight`` with the probability that each point is on the bone; return the log-likelihood
+    of the local means.
 
     The means of neighbours overlap K-fold, so each counts 1/K.
     """
@@ -135,5 +149,6 @@ def _expectation(e, mean, K, share, noise, scatter, reach, weight):
         patch = prior - 0.5 * m * m - math.log(ROOT_2PI * scatter * interference)
         odds = patch + min(0.0, LONE - 0.5 * r * r)
         weight[k] = 1.0 / (1.0 + math.exp(-odds)) if odds > -30.0 else 0.0
-        likelihood += max(patch, 0.0) + math.log1p(math.exp(-abs(patch))) + math.log((1.0 - share) * interference)
+        likelihood += max(patch, 0.0) + math.log1p(math.exp(-abs(patch))) + math.log(
+            (1.0 - share) * interference)
     return likelihood / K

@@ -2,8 +2,9 @@
 """
 The published method: Gauss-Newton, Cauchy IRLS, and discarding of what does not fit.
 
-T. Li et al., "Partial-to-Full Registration based on Gradient-SDF for Computer-Assisted Orthopedic Surgery", arXiv 2410.03078,
-Algorithm 1.  Kept as published, for comparison: what it discards, it never takes back.
+T. Li et al., "Partial-to-Full Registration based on Gradient-SDF for Computer-Assisted Orthopedic
+Surgery", arXiv 2410.03078, Algorithm 1.  Kept as published, for comparison: what it discards, it
+never takes back.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ def algorithm_1(field, points, R, t, keep, weight, e, J, history,
     """
     Run Algorithm 1 in place on ``R`` (3, 3), ``t`` (3,); return (termination, iterations).
 
-    ``keep`` (n,) bool loses the discarded points; ``weight``, ``e`` (n,) and ``J`` (n, 6) are left at the pose returned.  ``history``
-    has a row for each iteration allowed.
+    ``keep`` (n,) bool loses the discarded points; ``weight``, ``e`` (n,) and ``J`` (n, 6) are left
+    at the pose returned.  ``history`` has a row for each iteration allowed.
     """
     A = np.zeros((6, 6))
     size2 = (points * points).sum() / len(points)

@@ -21,9 +21,11 @@ from msg_adapters.truth import Truth, truth_path, write_truth
 
 T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
 LANDMARKS = np.array([[0.03, 0.0, 0.0], [0.0, 0.045, 0.0], [0.0, 0.0, 0.07]])
-KEYS = {'schema', 'success', 'reason', 'message', 'T_tracker_bone', 'bone_pose', 'covariance', 'points',
-        'sigma_m', 'residual_rms_m', 'predicted_tre_m', 'weakest_direction', 'ambiguity', 'timing_s',
-        'inputs', 'config', 'version'}
+KEYS = {
+    'schema', 'success', 'reason', 'message', 'T_tracker_bone', 'bone_pose', 'covariance', 'points',
+    'sigma_m', 'residual_rms_m', 'predicted_tre_m', 'weakest_direction', 'ambiguity', 'timing_s',
+    'inputs', 'config', 'version'
+}
 HEADER = 'name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z\n'
 
 
@@ -65,8 +67,10 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def there(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work in that directory, with a cache of its own."""
     monkeypatch.setenv('GSDF_CACHE_DIR', str(job / 'cache'))
-    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(filter(None, [os.environ.get('PYTHONPATH'),
-                                                                   str(Path(__file__).parents[2])])))
+    monkeypatch.setenv(
+        'PYTHONPATH',
+        os.pathsep.join(filter(None, [os.environ.get('PYTHONPATH'),
+                                      str(Path(__file__).parents[2])])))
     monkeypatch.chdir(job)
 
 
@@ -88,14 +92,16 @@ def test_register_end_to_end(job: Path) -> None:
     assert is_rigid(T)
     assert np.abs(transform(T, LANDMARKS) - transform(T_TRACKER_BONE, LANDMARKS)).max() < 3e-4
     pose = outcome['bone_pose']
-    assert set(pose) == {'frame_id', 'position', 'orientation'} and pose['position'] == T[:3, 3].tolist()
+    assert set(pose) == {'frame_id', 'position', 'orientation'
+                         } and pose['position'] == T[:3, 3].tolist()
     assert rotation_from_quaternion(pose['orientation']) == pytest.approx(T[:3, :3])
     assert np.shape(outcome['covariance']) == (6, 6)
     assert outcome['points']['received'] == outcome['points']['used'] == 300
     assert set(outcome['timing_s']) == {'load', 'search', 'solve', 'total'}
     assert {'rms', 'max'} <= set(outcome['predicted_tre_m'])
     assert all(len(sha) == 64 for sha in outcome['inputs'].values())
-    assert outcome['config']['model.path'] == 'bone.ply' and outcome['config']['model.voxel_size'] == 0.002
+    assert outcome['config']['model.path'] == 'bone.ply' and outcome['config'][
+        'model.voxel_size'] == 0.002
 
 
 def test_json_on_standard_output_is_nothing_but_json() -> None:
@@ -117,8 +123,8 @@ def test_bad_usage_is_one_line_and_status_2() -> None:
 
 
 def test_several_bags_in_processes_of_their_own(job: Path) -> None:
-    done = gsdf('replay', 'run_a', 'run_b', 'nowhere', '--model', 'bone.ply', '--landmarks', 'run_a.yaml',
-                '--config', 'coarse.yaml', '--jobs', '2', '--json', 'all.json')
+    done = gsdf('replay', 'run_a', 'run_b', 'nowhere', '--model', 'bone.ply', '--landmarks',
+                'run_a.yaml', '--config', 'coarse.yaml', '--jobs', '2', '--json', 'all.json')
     assert done.returncode == 2 and done.stderr == 'gsdf: error: nowhere does not exist\n'
     a, b, c = json.loads((job / 'all.json').read_text())
     assert a['T_tracker_bone'] == b['T_tracker_bone'] and a['success']
@@ -145,7 +151,8 @@ def error_of(capsys: pytest.CaptureFixture[str], *args: object) -> str:
     except SystemExit as end:
         status = end.code
     out, errors = capsys.readouterr()
-    assert status == 2 and out == '' and errors.count('\n') == 1 and errors.startswith('gsdf: error: ')
+    assert status == 2 and out == '' and errors.count('\n') == 1 and errors.startswith(
+        'gsdf: error: ')
     return errors
 
 
@@ -164,7 +171,8 @@ def test_help_shows_an_example(command: list[str], capsys: pytest.CaptureFixture
         main([*command, '--help'])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    assert text.startswith('usage: gsdf') and (not command or f'example:\n  gsdf {command[0]} ' in text)
+    assert text.startswith('usage: gsdf') and (not command
+                                               or f'example:\n  gsdf {command[0]} ' in text)
 
 
 def test_help_does_not_load_what_only_running_needs() -> None:
@@ -188,18 +196,20 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     ('e.json', '{"T_tracker_bone": ', '--initial', 'e.json, line 1: this is no valid JSON'),
     ('f.json', '{"pose": 1}', '--initial', 'f.json holds no pose'),
     ('g.json', '{"T_tracker_bone": null}', '--initial', 'g.json'),
-    ('h.json', json.dumps({'T_tracker_bone': np.diag([2.0, 1, 1, 1]).tolist()}), '--initial', 'not a rigid'),
+    ('h.json', json.dumps({'T_tracker_bone': np.diag([2.0, 1, 1, 1]).tolist()
+                           }), '--initial', 'not a rigid'),
     ('i.csv', 'name,x\na,1\n', '--landmarks', 'i.csv: landmarks need the columns'),
     ('j.csv', HEADER + 'a,1,2,3,4,5,six\n', '--landmarks', 'j.csv, line 2'),
     ('k.yaml', 'landmarks: []', '--landmarks', 'k.yaml is no ground truth'),
 ])
-def test_what_cannot_be_read_is_named(job: Path, capsys: pytest.CaptureFixture[str], name: str, content: str,
-                                      option: str, says: str) -> None:
+def test_what_cannot_be_read_is_named(job: Path, capsys: pytest.CaptureFixture[str], name: str,
+                                      content: str, option: str, says: str) -> None:
     (job / name).write_text(content)
     assert says in error_of(capsys, *REGISTER, option, name)
 
 
-def test_points_that_cannot_be_read_are_named(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_that_cannot_be_read_are_named(job: Path,
+                                              capsys: pytest.CaptureFixture[str]) -> None:
     (job / 'bad.csv').write_text('x,y,z\n1,2,3\n4,five,6\n')
     assert 'bad.csv, line 3' in error_of(capsys, 'register', 'bone.ply', 'bad.csv', '--unit', 'mm')
     assert 'nowhere.csv' in error_of(capsys, 'register', 'bone.ply', 'nowhere.csv', '--unit', 'mm')
@@ -207,7 +217,8 @@ def test_points_that_cannot_be_read_are_named(job: Path, capsys: pytest.CaptureF
     assert 'pose.json' in error_of(capsys, *REGISTER, *MARKED, '--json', 'no/where/pose.json')
 
 
-def test_an_interrupt_is_quiet(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_is_quiet(capsys: pytest.CaptureFixture[str],
+                               monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
     monkeypatch.setattr('gsdf_registration.replay.replay', interrupted)
@@ -218,14 +229,16 @@ def test_an_interrupt_is_quiet(capsys: pytest.CaptureFixture[str], monkeypatch: 
 def test_no_command_and_unknown_ones_are_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert 'COMMAND' in error_of(capsys)
     assert 'regsiter' in error_of(capsys, 'regsiter')
-    assert 'must be 1 or more' in error_of(capsys, 'replay', 'run_a', '--model', 'bone.ply', '--jobs', '0')
+    assert 'must be 1 or more' in error_of(capsys, 'replay', 'run_a', '--model', 'bone.ply',
+                                           '--jobs', '0')
 
 
 def test_a_model_in_the_wrong_unit_is_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
     for command in (REGISTER, ('replay', 'run_a', '--model', 'bone.ply')):
         outcome = refusal_of(capsys, *command, '--model-unit', 'm')
         assert outcome['reason'] == 'wrong_unit' and 'bone.ply' in outcome['message']
-        assert outcome['inputs']['model_sha256'] is None and len(outcome['inputs']['points_sha256']) == 64
+        assert outcome['inputs']['model_sha256'] is None and len(
+            outcome['inputs']['points_sha256']) == 64
 
 
 def test_points_in_the_wrong_unit_are_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -246,9 +259,11 @@ def test_too_few_points_are_a_refusal(job: Path, capsys: pytest.CaptureFixture[s
     assert outcome['reason'] == 'too_few_points' and outcome['points']['received'] == 1
 
 
-def test_points_that_are_not_finite_are_left_out(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_that_are_not_finite_are_left_out(job: Path,
+                                                 capsys: pytest.CaptureFixture[str]) -> None:
     (job / 'holes.csv').write_text((job / 'points.csv').read_text() + 'nan,nan,nan\n')
-    assert main(['register', 'bone.ply', 'holes.csv', '--unit', 'mm', *COARSE, *MARKED, '--json', '-']) == 0
+    assert main(
+        ['register', 'bone.ply', 'holes.csv', '--unit', 'mm', *COARSE, *MARKED, '--json', '-']) == 0
     out, errors = capsys.readouterr()
     assert json.loads(out)['points']['received'] == 301
     assert 'not believed   1 not finite' in errors
@@ -257,10 +272,16 @@ def test_points_that_are_not_finite_are_left_out(job: Path, capsys: pytest.Captu
 def test_points_with_stamps_pass_the_gates(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     points = np.loadtxt(job / 'points.csv', delimiter=',', skiprows=1)
     rows = np.column_stack([np.arange(len(points)), points])
-    np.savetxt(job / 'stamped.csv', np.vstack([rows, rows[-1]]), delimiter=',', header='t,x,y,z', comments='')
+    np.savetxt(job / 'stamped.csv',
+               np.vstack([rows, rows[-1]]),
+               delimiter=',',
+               header='t,x,y,z',
+               comments='')
     (job / 'frame.yaml').write_text('model: {voxel_size: 0.002}\nprobe: {frame_id: array}\n')
-    assert main(['register', 'bone.ply', 'stamped.csv', '--unit', 'mm', '--config', 'frame.yaml', *MARKED,
-                 '--json', '-']) == 0
+    assert main([
+        'register', 'bone.ply', 'stamped.csv', '--unit', 'mm', '--config', 'frame.yaml', *MARKED,
+        '--json', '-'
+    ]) == 0
     outcome = json.loads(capsys.readouterr().out)
     assert outcome['points']['received'] == 301 and outcome['points']['used'] == 300
     assert outcome['bone_pose']['frame_id'] == 'array'
@@ -270,26 +291,31 @@ def test_an_outcome_is_a_first_guess(capsys: pytest.CaptureFixture[str]) -> None
     assert main([*REGISTER, *MARKED, '--json', 'first.json']) == 0
     assert main([*REGISTER, '--initial', 'first.json', '--json', 'second.json']) == 0
     first, second = (json.loads(Path(name).read_text()) for name in ('first.json', 'second.json'))
-    assert np.array(second['T_tracker_bone']) == pytest.approx(np.array(first['T_tracker_bone']), abs=1e-5)
+    assert np.array(second['T_tracker_bone']) == pytest.approx(np.array(first['T_tracker_bone']),
+                                                               abs=1e-5)
 
 
-def test_replay_gives_the_pose_and_the_true_error(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_gives_the_pose_and_the_true_error(job: Path,
+                                                  capsys: pytest.CaptureFixture[str]) -> None:
     command = ['replay', 'run_a', '--model', 'bone.ply', *COARSE, '--landmarks', 'run_a.yaml']
     assert main([*command, '--json', 'replay.json']) == 0
     assert 'true error' in capsys.readouterr().out
     outcome = json.loads((job / 'replay.json').read_text())
     assert outcome['bone_pose']['frame_id'] == 'camera' and outcome['points']['received'] == 300
-    error = transform(np.array(outcome['T_tracker_bone']), LANDMARKS) - transform(T_TRACKER_BONE, LANDMARKS)
+    error = transform(np.array(outcome['T_tracker_bone']), LANDMARKS) - transform(
+        T_TRACKER_BONE, LANDMARKS)
     assert np.abs(error).max() < 3e-4
 
 
 def test_replay_names_what_it_cannot_read(capsys: pytest.CaptureFixture[str]) -> None:
     assert 'nowhere' in error_of(capsys, 'replay', 'nowhere', '--model', 'bone.ply')
-    assert '/other' in error_of(capsys, 'replay', 'run_a', '--model', 'bone.ply', '--topic', '/other')
+    assert '/other' in error_of(capsys, 'replay', 'run_a', '--model', 'bone.ply', '--topic',
+                                '/other')
     assert 'nowhere.ply' in error_of(capsys, 'replay', 'run_a', 'run_b', '--model', 'nowhere.ply')
 
 
-def test_build_writes_a_field_that_register_takes(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_build_writes_a_field_that_register_takes(job: Path,
+                                                  capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['build', 'bone.ply', '--voxel', '2', '-o', 'bone.gsdf']) == 0
     assert capsys.readouterr().out.startswith('bone.ply: 60 x 90 x 140 mm, field of 2 mm voxels')
     assert main(['register', 'bone.gsdf', 'points.csv', '--unit', 'mm', *MARKED]) == 0
@@ -298,6 +324,7 @@ def test_build_writes_a_field_that_register_takes(job: Path, capsys: pytest.Capt
 def test_build_refuses_in_words(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert 'bone.ply' in error_of(capsys, 'build', 'bone.ply', '--model-unit', 'm')
     assert 'voxel' in error_of(capsys, 'build', 'bone.ply', '--voxel', '0')
-    assert 'no/where' in error_of(capsys, 'build', 'bone.ply', '--voxel', '2', '-o', 'no/where/bone.gsdf')
+    assert 'no/where' in error_of(capsys, 'build', 'bone.ply', '--voxel', '2', '-o',
+                                  'no/where/bone.gsdf')
     (job / 'cut.ply').write_bytes((job / 'bone.ply').read_bytes()[:5000])
     assert 'cut.ply' in error_of(capsys, 'build', 'cut.ply')

@@ -28,16 +28,20 @@ def simulate(bone: Path, output: Path, *options: str, region: str = 'acetabulum'
 
 
 def test_bag_and_truth(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ['--points', '200', '--outliers', '0.1', '--interference', 'soft_tissue:0.1,lift_off:0.05',
-               '--landmark', 'asis=33.9,58.3,78.2', '--frame-id', 'camera']
+    options = [
+        '--points', '200', '--outliers', '0.1', '--interference', 'soft_tissue:0.1,lift_off:0.05',
+        '--landmark', 'asis=33.9,58.3,78.2', '--frame-id', 'camera'
+    ]
     assert simulate(hip_bone, tmp_path / 'run', *options) == 0
     (line,) = capsys.readouterr().out.splitlines()
     assert '267 points' in line and '200 of them' in line and '1 landmarks' in line
     recording, truth = read_bag(tmp_path / 'run'), read_truth(tmp_path / 'run.yaml')
-    assert len(recording) == 267 and set(recording.frame_ids) == {'camera'} and truth.frame_id == 'camera'
+    assert len(recording) == 267 and set(recording.frame_ids) == {'camera'
+                                                                  } and truth.frame_id == 'camera'
     assert (tmp_path / truth.model).resolve() == hip_bone.resolve()
     np.testing.assert_allclose(truth.landmarks_model, [[0.0339, 0.0583, 0.0782]])
-    near = np.linalg.norm(transform(inverse(truth.T_tracker_bone), recording.positions), axis=1) < 0.055
+    near = np.linalg.norm(transform(inverse(truth.T_tracker_bone), recording.positions),
+                          axis=1) < 0.055
     assert near.mean() > 0.8        # round the acetabulum, which is the model's origin
 
 
@@ -72,15 +76,17 @@ def test_region_by_numbers(femur_bone: Path, tmp_path: Path) -> None:
     (['--region', 'skull'], 'is not known'),
     (['--model-unit', 'm'], 'unit'),
 ])
-def test_bad_input_is_one_sentence(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-                                   options: list[str], sentence: str) -> None:
+def test_bad_input_is_one_sentence(hip_bone: Path, tmp_path: Path,
+                                   capsys: pytest.CaptureFixture[str], options: list[str],
+                                   sentence: str) -> None:
     assert simulate(hip_bone, tmp_path / 'run', *options) == 2
     error = capsys.readouterr().err
     assert sentence in error and len(error.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_overwritten(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_overwritten(hip_bone: Path, tmp_path: Path,
+                                capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / 'run').mkdir()
     assert simulate(hip_bone, tmp_path / 'run') == 2
     assert 'exists already' in capsys.readouterr().err

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a field are exact, the band is covered, and neither threads nor units change anything."""
+"""
+The nodes of a field are exact, the band is covered, and neither threads nor units change anything.
+"""
 
 import numpy as np
 import pytest
@@ -64,8 +66,11 @@ def test_nodes_of_a_box_are_exact():
     np.testing.assert_allclose(nodes[:, 0], box_distance(x, half), atol=2e-9)
     step = 1e-5
     inner, outer = (box_distance(x + s * step * nodes[:, 1:], half) for s in (-1, 1))
-    # along the gradient the distance grows as fast as one goes; on the medial axis it falls on both sides
-    np.testing.assert_allclose(np.maximum(outer - nodes[:, 0], nodes[:, 0] - inner), step, rtol=1e-3)
+    # along the gradient the distance grows as fast as one goes; on the medial axis it falls on both
+    # sides
+    np.testing.assert_allclose(np.maximum(outer - nodes[:, 0], nodes[:, 0] - inner),
+                               step,
+                               rtol=1e-3)
 
 
 def test_coarse_nodes_of_a_box_are_near_exact():
@@ -145,7 +150,8 @@ def test_the_unit_changes_only_the_scale(factor):
     one = build_field(make_bone(mesh.vertices, mesh.faces), 0.002)
     other = build_field(make_bone(mesh.vertices * factor, mesh.faces), 0.002 * factor)
     np.testing.assert_array_equal(one.arrays.block_of, other.arrays.block_of)
-    np.testing.assert_array_equal(one.arrays.nodes * np.float32([factor, 1, 1, 1]), other.arrays.nodes)
+    np.testing.assert_array_equal(one.arrays.nodes * np.float32([factor, 1, 1, 1]),
+                                  other.arrays.nodes)
 
 
 def test_halving_the_voxel_costs_as_the_surface_not_the_volume():

@@ -67,7 +67,8 @@ def test_the_corners_and_faces_of_the_box_are_in_range(sphere):
         np.testing.assert_allclose(d, np.linalg.norm(x, axis=1) - RADIUS, rtol=0.01)
 
 
-@pytest.mark.parametrize('points', [[[np.nan, 0, 0]], [[np.inf, 0, 0]], [0.0, 0.0, 0.0], [[0.0, 0.0]]])
+@pytest.mark.parametrize('points',
+                         [[[np.nan, 0, 0]], [[np.inf, 0, 0]], [0.0, 0.0, 0.0], [[0.0, 0.0]]])
 def test_what_is_no_point_is_refused(sphere, points):
     with pytest.raises(InputError, match='three finite numbers'):
         sphere.sample(points)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A field comes back from its file bit by bit, or a sentence says why not; the cache builds once."""
+"""
+A field comes back from its file bit by bit, or a sentence says why not; the cache builds once.
+"""
 
 import json
 import pickle
@@ -51,8 +53,8 @@ def builds(monkeypatch, tmp_path):
 def assert_same(a, b):
     for one, other in zip(a.arrays, b.arrays):
         np.testing.assert_array_equal(one, other)
-    for name in ('bone_sha256', 'voxel_size', 'bounds', 'surface_points', 'surface_normals', 'vertices',
-                 'faces', 'notes', 'nbytes'):
+    for name in ('bone_sha256', 'voxel_size', 'bounds', 'surface_points', 'surface_normals',
+                 'vertices', 'faces', 'notes', 'nbytes'):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
@@ -74,7 +76,12 @@ def test_what_was_repaired_is_kept(bone, field):
 
 def test_damage_anywhere_is_noticed(path):
     good = path.read_bytes()
-    for at in [*range(0, 1000, 7), *range(1000, len(good), len(good) // 100), len(good) - 4, len(good) - 1]:
+    for at in [
+            *range(0, 1000, 7), *range(1000, len(good),
+                                       len(good) // 100),
+            len(good) - 4,
+            len(good) - 1
+    ]:
         bad = bytearray(good)
         bad[at] ^= 0x10
         path.write_bytes(bad)
@@ -91,7 +98,9 @@ def test_a_file_cut_short_is_refused(path, share):
         load_field(path)
 
 
-@pytest.mark.parametrize('foreign', [b'ply\nformat ascii 1.0\n', pickle.dumps({'a': 1}), b'\0' * 4096])
+@pytest.mark.parametrize(
+    'foreign',
+    [b'ply\nformat ascii 1.0\n', pickle.dumps({'a': 1}), b'\0' * 4096])
 def test_a_foreign_file_is_refused(path, foreign):
     path.write_bytes(foreign)
     with pytest.raises(InputError, match='is not a gsdf field'):

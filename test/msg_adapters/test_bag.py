@@ -43,8 +43,8 @@ def record(path, messages, storage=StoragePlugin.MCAP, compressed=None):
 
 
 def points_on(topic, count, start=10**9, step=12_500_000):
-    return [(topic, POINT, start + i * step + 3_000_000, point(start + i * step, float(i), 0.5, -i / 7))
-            for i in range(count)]
+    return [(topic, POINT, start + i * step + 3_000_000,
+             point(start + i * step, float(i), 0.5, -i / 7)) for i in range(count)]
 
 
 def storage_file(path):
@@ -73,7 +73,8 @@ def test_twenty_thousand_points_exactly(tmp_path, storage):
         assert points.notes == () and points.strokes is None and points.quality is None
 
 
-@pytest.mark.parametrize('mode', [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE])
+@pytest.mark.parametrize('mode',
+                         [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE])
 def test_compressed_bags(tmp_path, mode):
     path = record(tmp_path / 'run', points_on('/probe/tip', 50), compressed=mode)
     assert len(read_bag(path)) == 50
@@ -104,19 +105,22 @@ def test_all_types_that_carry_a_position(tmp_path, storage):
 
 
 def test_which_topic_is_the_tip(tmp_path):
-    tip, other, marks = (points_on(name, 2) for name in ('/probe/tip', '/other', '/probe/landmarks'))
+    tip, other, marks = (points_on(name, 2)
+                         for name in ('/probe/tip', '/other', '/probe/landmarks'))
     assert read_bag(record(tmp_path / 'a', tip + other + marks)).source_names == ['/probe/tip']
     assert read_bag(record(tmp_path / 'b', other + marks)).source_names == ['/other']
     assert len(read_bag(tmp_path / 'b', ['/probe/landmarks', '/other', '/other'])) == 4
     message = refusal(record(tmp_path / 'c', other + points_on('/another', 1)))
     assert '/other' in message and '/another' in message and POINT in message
     assert '/probe/landmarks' in refusal(record(tmp_path / 'd', marks))
-    assert '/tip' in refusal(tmp_path / 'a', ['/tip']) and '/probe/tip' in refusal(tmp_path / 'a', ['/tip'])
+    assert '/tip' in refusal(tmp_path / 'a', ['/tip']) and '/probe/tip' in refusal(
+        tmp_path / 'a', ['/tip'])
     assert refusal(tmp_path / 'a', [])
 
 
 def test_points_that_are_not_finite_are_left_to_the_gates(tmp_path):
-    path = record(tmp_path / 'run', [('/probe/tip', POINT, 1, point(1, float('nan'), 0.0, float('inf')))])
+    path = record(tmp_path / 'run',
+                  [('/probe/tip', POINT, 1, point(1, float('nan'), 0.0, float('inf')))])
     assert not np.isfinite(read_bag(path).positions).all()
 
 
@@ -150,7 +154,8 @@ def test_a_bag_cut_short_by_copying_is_refused(tmp_path, storage, share):
 def test_damaged_metadata_is_refused(tmp_path, storage):
     path = record(tmp_path / 'run', points_on('/probe/tip', 20), storage)
     good = (path / 'metadata.yaml').read_text()
-    for bad in ('', 'rosbag2_bagfile_information: 5\n', good[:100], good.replace('run', 'gone'), '\t{'):
+    for bad in ('', 'rosbag2_bagfile_information: 5\n', good[:100], good.replace('run',
+                                                                                 'gone'), '\t{'):
         (path / 'metadata.yaml').write_text(bad)
         assert 'damaged' in refusal(path)
     (path / 'metadata.yaml').unlink()

@@ -17,7 +17,8 @@ EM = """Tools,LABEL,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers
 1,LABEL,132,12.100,1,,0,0,0,0,0,0,0,0
 1,LABEL,140
 """.replace('LABEL', LABEL)
-# an optical tracker: two tools, each with its markers; the second line has lost a marker of the first tool
+# an optical tracker: two tools, each with its markers; the second line has lost a marker of the
+# first tool
 BLOCK = 'Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz,State,Tx,Ty,Tz'
 OPTICAL = f"""Tools,Port 0x01: Probe,{BLOCK},Port 0x02: Array,{BLOCK}
 2,Port 0x01: Probe,5,1.5,1,OK,1,0,0,0,1,2,3,0.2,2,OK,9,9,9,OK,9,9,9,\
@@ -46,7 +47,8 @@ def test_good_samples_in_metres_and_lost_ones_counted(tmp_path):
         path = write(tmp_path / 'em.csv', text)
         assert is_ndi(path)
         points = read_ndi(path)
-        np.testing.assert_allclose(points.positions, [[0.0105, -0.02025, -0.03], [0.011, -0.0205, -0.0305]])
+        np.testing.assert_allclose(points.positions,
+                                   [[0.0105, -0.02025, -0.03], [0.011, -0.0205, -0.0305]])
         np.testing.assert_allclose(points.quality, [0.00008, 0.00019])
         assert points.stamps.tolist() == [12.0, 12.05]
         assert points.dropped == {'tracking_state': 4}

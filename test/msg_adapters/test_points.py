@@ -50,7 +50,9 @@ def test_meshes_are_read_in_metres(tmp_path, name, options, unit, scale):
     assert vertices.dtype == np.float64 and faces.dtype == np.int32 and normals is None
     assert faces.shape == (12, 3)
     np.testing.assert_allclose(np.ptp(vertices, axis=0), np.array([40, 60, 80]) * scale, rtol=1e-6)
-    np.testing.assert_allclose(corners(vertices, faces), corners(BOX.vertices, BOX.faces) * scale, rtol=1e-6)
+    np.testing.assert_allclose(corners(vertices, faces),
+                               corners(BOX.vertices, BOX.faces) * scale,
+                               rtol=1e-6)
 
 
 def test_several_bodies_become_one_surface(tmp_path):
@@ -65,7 +67,8 @@ def test_several_bodies_become_one_surface(tmp_path):
 
 
 def test_polygons_are_triangulated(tmp_path):
-    quad = write(tmp_path / 'quad.off', 'OFF\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 0 1\n4 0 1 2 3\n3 0 1 4\n')
+    quad = write(tmp_path / 'quad.off',
+                 'OFF\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 0 1\n4 0 1 2 3\n3 0 1 4\n')
     assert read_model(quad, 'm')[1].shape == (3, 3)
 
 
@@ -89,8 +92,10 @@ def test_clouds_with_normals(tmp_path, name, text):
 
 def test_binary_ply_cloud_keeps_its_normals(tmp_path):
     rows = np.array([(1, 2, 3, 1, 0, 0), (4, 5, 6, 0, 1, 0)], '<f4')
-    head = CLOUD_PLY.partition('end_header\n')[0].replace('ascii', 'binary_little_endian') + 'end_header\n'
-    vertices, _, normals = read_model(write(tmp_path / 'c.ply', head.encode() + rows.tobytes()), 'm')
+    head = CLOUD_PLY.partition('end_header\n')[0].replace('ascii',
+                                                          'binary_little_endian') + 'end_header\n'
+    vertices, _, normals = read_model(write(tmp_path / 'c.ply',
+                                            head.encode() + rows.tobytes()), 'm')
     np.testing.assert_array_equal(np.hstack([vertices, normals]), rows)
 
 
@@ -110,7 +115,8 @@ def test_what_is_no_readable_model_is_one_sentence(tmp_path):
     assert 'STL, PLY, OBJ or OFF' in refusal(read_model, write(tmp_path / 'a.step', 'x'), 'mm')
     assert 'cm' in refusal(read_model, export(tmp_path / 'a.stl'), 'cm')
     assert 'normals' in refusal(read_model, write(tmp_path / 'a.xyz', '1 2 3\n'), 'mm')
-    assert 'normals' in refusal(read_model, write(tmp_path / 'a.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\n'), 'mm')
+    assert 'normals' in refusal(read_model, write(tmp_path / 'a.obj',
+                                                  'v 0 0 0\nv 1 0 0\nv 0 1 0\n'), 'mm')
 
 
 @pytest.mark.parametrize('suffix', ['stl', 'ply', 'obj', 'off'])
@@ -126,7 +132,8 @@ def test_faces_that_name_no_vertex_are_refused(tmp_path):
     off = 'OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 {}\n'
     for bad in (3, -1):
         assert refusal(read_model, write(tmp_path / 'a.off', off.format(bad)), 'mm')
-    assert refusal(read_model, write(tmp_path / 'a.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n'), 'mm')
+    assert refusal(read_model, write(tmp_path / 'a.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n'),
+                   'mm')
 
 
 @pytest.mark.parametrize('suffix, options', [
@@ -152,7 +159,8 @@ def test_the_last_body_that_was_cut_off_is_missed(tmp_path):
 
 def test_an_obj_that_ends_within_a_line_is_refused(tmp_path):
     text = export(tmp_path / 'a.obj').read_text().rstrip()
-    assert 'incomplete' in refusal(read_model, write(tmp_path / 'b.obj', text[:text.rindex(' ')]), 'mm')
+    assert 'incomplete' in refusal(read_model, write(tmp_path / 'b.obj', text[:text.rindex(' ')]),
+                                   'mm')
     assert len(read_model(write(tmp_path / 'c.obj', text.replace('\n', '\r\n')), 'mm')[1]) == 12
 
 
@@ -211,14 +219,16 @@ def test_other_files_of_points(tmp_path):
     np.testing.assert_allclose(cloud.positions, [[0.001, 0.002, 0.003], [0.004, 0.005, 0.006]])
     assert 'surface' in refusal(read_points, export(tmp_path / 'a.ply'), 'mm')
     assert 'CSV, TXT or XYZ' in refusal(read_points, export(tmp_path / 'a.stl'), 'mm')
-    assert 'UTF-8' in refusal(read_points, write(tmp_path / 'u.csv', 'x,y,z\n1,2,3\n'.encode('utf-16')), 'mm')
+    assert 'UTF-8' in refusal(read_points,
+                              write(tmp_path / 'u.csv', 'x,y,z\n1,2,3\n'.encode('utf-16')), 'mm')
     assert 'does not exist' in refusal(read_points, tmp_path / 'none.csv', 'mm')
     assert 'inch' in refusal(read_points, write(tmp_path / 'p.csv', 'x,y,z\n1,2,3\n'), 'inch')
 
 
 def test_an_ndi_file_is_known_by_its_header(tmp_path):
-    ndi = write(tmp_path / 'n.csv', 'Tools,Port 1,Frame,Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers\n'
-                                    '1,Port 1,7,1,OK,0,0,0,1,2,3,0.1,0\n')
+    ndi = write(
+        tmp_path / 'n.csv', 'Tools,Port 1,Frame,Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers\n'
+        '1,Port 1,7,1,OK,0,0,0,1,2,3,0.1,0\n')
     np.testing.assert_allclose(read_points(ndi, 'mm').positions, [[0.001, 0.002, 0.003]])
     assert 'mm' in refusal(read_points, ndi, 'm')
 
@@ -247,10 +257,14 @@ def test_landmarks_that_cannot_be_used(tmp_path, text, words):
 
 
 @settings(deadline=None, max_examples=40)
-@given(rows=st.lists(st.lists(st.floats(-1e4, 1e4), min_size=3, max_size=3), min_size=1, max_size=20),
-       order=st.permutations(['x', 'y', 'z']), separator=st.sampled_from([',', ';', '\t', ' ']))
+@given(rows=st.lists(st.lists(st.floats(-1e4, 1e4), min_size=3, max_size=3),
+                     min_size=1,
+                     max_size=20),
+       order=st.permutations(['x', 'y', 'z']),
+       separator=st.sampled_from([',', ';', '\t', ' ']))
 def test_points_survive_writing_and_reading(tmp_path_factory, rows, order, separator):
     columns = ['xyz'.index(name) for name in order]
-    lines = [separator.join(order)] + [separator.join(repr(row[i]) for i in columns) for row in rows]
+    lines = [separator.join(order)
+             ] + [separator.join(repr(row[i]) for i in columns) for row in rows]
     path = write(tmp_path_factory.mktemp('points') / 'p.csv', '\n'.join(lines))
     assert read_points(path, 'm').positions.tolist() == rows

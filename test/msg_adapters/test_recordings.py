@@ -45,7 +45,8 @@ def test_merge_interleaves_by_stamp_and_keeps_what_belongs_together():
     both = merge([a, b])
     assert both.stamps.tolist() == [1, 2, 3, 3, 4, 5]
     assert both.positions[:, 0].tolist() == both.stamps.tolist()
-    assert both.frame_ids == ['a', 'b', 'a', 'b', 'b', 'a']      # of equal stamps the first given comes first
+    # of equal stamps the first given comes first
+    assert both.frame_ids == ['a', 'b', 'a', 'b', 'b', 'a']
     assert [both.source_names[i] for i in both.sources] == ['/a', '/b', '/a', '/b', '/b', '/a']
     assert np.isnan(both.quality).tolist() == [False, True, False, True, True, False]
     strokes = both.strokes.tolist()
@@ -61,7 +62,9 @@ def test_merge_joins_sources_of_one_name():
 
 
 def test_merge_leaves_a_clock_that_runs_backwards_to_the_gates():
-    both = merge([recording([1, 5, 2, 6], source_names=['/a']), recording([3, 5.5], source_names=['/b'])])
+    both = merge(
+        [recording([1, 5, 2, 6], source_names=['/a']),
+         recording([3, 5.5], source_names=['/b'])])
     assert both.stamps[both.sources == 0].tolist() == [1, 5, 2, 6]
     assert both.stamps.tolist() == [1, 3, 5, 2, 5.5, 6]
 

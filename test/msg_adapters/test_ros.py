@@ -48,7 +48,8 @@ def test_poses_and_transforms_round_trip(twist):
     seconds, back, frame = ros.pose_from(sent(ros.pose_msg(T, 'tracker', STAMP)))
     assert (seconds, frame) == (12.25, 'tracker')
     np.testing.assert_allclose(back, T, atol=1e-12)
-    seconds, back, parent, child = ros.transform_from(sent(ros.transform_msg(T, 'tracker', 'bone', STAMP)))
+    seconds, back, parent, child = ros.transform_from(
+        sent(ros.transform_msg(T, 'tracker', 'bone', STAMP)))
     assert (seconds, parent, child) == (12.25, 'tracker', 'bone')
     np.testing.assert_allclose(back, T, atol=1e-12)
 
@@ -77,12 +78,15 @@ def test_poses_that_are_no_motion_are_refused():
 
 
 @settings(deadline=None, max_examples=40)
-@given(st.lists(st.tuples(*[st.floats(-10, 10, width=32)] * 5, st.integers(-2**31, 2**31 - 1)), max_size=20))
+@given(
+    st.lists(st.tuples(*[st.floats(-10, 10, width=32)] * 5, st.integers(-2**31, 2**31 - 1)),
+             max_size=20))
 def test_clouds_round_trip(rows):
     columns = [np.array(column) for column in zip(*rows)] if rows else [np.zeros(0)] * 6
     message = sent(ros.cloud_msg(np.column_stack(columns[:3]), *columns[3:], 'bone', STAMP))
     assert (message.width, message.height, message.point_step) == (len(rows), 1, 24)
-    assert [field.name for field in message.fields] == ['x', 'y', 'z', 'residual', 'weight', 'stroke']
+    assert [field.name
+            for field in message.fields] == ['x', 'y', 'z', 'residual', 'weight', 'stroke']
     back = ros.cloud_to_arrays(message)
     for name, column in zip(('x', 'y', 'z', 'residual', 'weight', 'stroke'), columns):
         np.testing.assert_array_equal(back[name], column)

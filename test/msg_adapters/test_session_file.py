@@ -10,11 +10,12 @@ from gsdf_registration.result import InputError
 from msg_adapters import files
 from msg_adapters.session_file import read_session, write_session
 
-PLAIN = st.recursive(
-    st.none() | st.booleans() | st.integers(-2**53, 2**53) | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text(max_size=9),
-    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner, max_size=5),
-    max_leaves=10)
+PLAIN = st.recursive(st.none() | st.booleans() | st.integers(-2**53, 2**53)
+                     | st.floats(allow_nan=False, allow_infinity=False)
+                     | st.text(max_size=9),
+                     lambda inner: st.lists(inner, max_size=5) | st.dictionaries(
+                         st.text(max_size=9), inner, max_size=5),
+                     max_leaves=10)
 
 
 @settings(deadline=None, max_examples=40)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real processes over real DDS: a domain of our own, a node that tests share, and nodes of a test's own."""
+"""
+Real processes over real DDS.
+
+A domain of our own, a node that tests share, and nodes of a test's own.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +49,8 @@ def shared_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope='session')
 def shared_node(parameters: dict[str, Any], shared_session: Path) -> Iterator[NodeProcess]:
-    node = NodeProcess(shared_session.with_name('log'), **parameters, **{'session.path': shared_session})
+    node = NodeProcess(shared_session.with_name('log'), **parameters,
+                       **{'session.path': shared_session})
     yield node
     node.stop()
 
@@ -61,7 +66,9 @@ def shared_tracker(shared_node: NodeProcess) -> Iterator[Tracker]:
 
 @pytest.fixture
 def tracker(shared_tracker: Tracker) -> Tracker:
-    """Return the tracker of the node that all tests share, which has been told to forget what was."""
+    """
+    Return the tracker of the node that all tests share, which has been told to forget what was.
+    """
     assert shared_tracker.client.ask('clear').success
     return shared_tracker
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests over DDS share: nodes as processes, an operator, and a tracker that knows the truth."""
+"""
+What the tests over DDS share: nodes as processes, an operator, and a tracker that knows the truth.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +42,13 @@ class NodeProcess:
         self.name = f'/{name}'
         self.log_file = log
         with log.open('w') as out:
-            self.process = subprocess.Popen(
-                [sys.executable, '-m', 'gsdf_registration.node.main', '--ros-args', '-r', f'__node:={name}',
-                 *options, *words],
-                cwd=ROOT, stdout=out, stderr=out)
+            self.process = subprocess.Popen([
+                sys.executable, '-m', 'gsdf_registration.node.main', '--ros-args', '-r',
+                f'__node:={name}', *options, *words
+            ],
+                                            cwd=ROOT,
+                                            stdout=out,
+                                            stderr=out)
 
     @property
     def log(self) -> str:
@@ -57,7 +62,8 @@ class NodeProcess:
 class Client(Operator):
     """An operator who also changes the lifecycle and reads the status."""
 
-    def __init__(self, node: NodeProcess, patience: float = 60.0) -> None:   # the first start ever compiles
+    # the first start ever compiles
+    def __init__(self, node: NodeProcess, patience: float = 60.0) -> None:
         super().__init__(node.name, patience, alive=lambda: node.process.poll() is None)
         self._log = node.log_file
 
@@ -77,8 +83,10 @@ class Client(Operator):
 
     def set_parameters(self, *parameters: Parameter) -> str:
         """Set all or none; return why not, empty if they are set."""
-        request = SetParametersAtomically.Request(parameters=[each.to_parameter_msg() for each in parameters])
-        result = self.result(self.start(SetParametersAtomically, 'set_parameters_atomically', request)).result
+        request = SetParametersAtomically.Request(
+            parameters=[each.to_parameter_msg() for each in parameters])
+        result = self.result(
+            self.start(SetParametersAtomically, 'set_parameters_atomically', request)).result
         return '' if result.successful else str(result.reason)
 
     def await_state(self, state: str) -> None:
@@ -109,10 +117,15 @@ class Tracker:
         self.steps = np.diff(recording.stamps, prepend=recording.stamps[0]) + 1e-4
         self._stamp = 1000.0
         qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-        self._publishers = {topic: client.node.create_publisher(PointStamped, topic, qos) for topic in topics}
+        self._publishers = {
+            topic: client.node.create_publisher(PointStamped, topic, qos)
+            for topic in topics
+        }
 
     def await_listener(self) -> None:
-        """Send until points come through on every topic: those before both sides know of it are lost."""
+        """
+        Send until points come through on every topic: those before both sides know of it are lost.
+        """
         for topic, publisher in self._publishers.items():
             self.client.spin_until(publisher.get_subscription_count, f'nobody listens to {topic}')
             self.client.ask('clear')
@@ -123,7 +136,10 @@ class Tracker:
             self.client.spin_until(heard, f'no point comes through on {topic}')
         self.client.ask('clear')
 
-    def send(self, positions: np.ndarray, steps: np.ndarray | float = 0.0125, topic: str = '/probe/tip',
+    def send(self,
+             positions: np.ndarray,
+             steps: np.ndarray | float = 0.0125,
+             topic: str = '/probe/tip',
              frame_id: str = 'tracker') -> None:
         for position, step in zip(positions, np.broadcast_to(steps, len(positions))):
             self._stamp += float(step)
@@ -135,7 +151,8 @@ class Tracker:
         """Rest at each landmark, and have it captured."""
         for place in transform(T_moved, self.truth.landmarks_tracker):
             self.send(np.tile(place, (50, 1)))
-            self.client.spin_until(lambda: self.client.ask('capture_landmark').success, 'none was captured')
+            self.client.spin_until(lambda: self.client.ask('capture_landmark').success,
+                                   'none was captured')
 
     def drag(self, T_moved: np.ndarray, topic: str = '/probe/tip') -> None:
         """Collect the recorded points."""

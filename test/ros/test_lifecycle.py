@@ -16,7 +16,8 @@ pytestmark = pytest.mark.ros
 StartNode = Callable[..., NodeProcess]
 
 
-def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode, parameters: dict[str, Any]) -> None:
+def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
+                                                  parameters: dict[str, Any]) -> None:
     node = start_node('managed', **parameters | {'autostart': 'false', 'collect.automatic': 'true'})
     with Client(node) as client:
         assert client.state() == 'unconfigured'
@@ -26,8 +27,8 @@ def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode, paramet
                                   (Transition.TRANSITION_DEACTIVATE, 'inactive')):
             assert client.change(transition)
             assert client.state() == state
-            assert client.ask('undo').message == ('there is no stroke to undo' if state == 'active' else
-                                                  'the node is inactive; activate it first')
+            assert client.ask('undo').message == ('there is no stroke to undo' if state == 'active'
+                                                  else 'the node is inactive; activate it first')
         tracker = Tracker(client)
 
         assert client.change(Transition.TRANSITION_ACTIVATE)
@@ -42,7 +43,8 @@ def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode, paramet
 
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         assert client.change(Transition.TRANSITION_CLEANUP)
-        assert client.status(received='0')['message'] == 'the node is unconfigured; activate it first'
+        assert client.status(
+            received='0')['message'] == 'the node is unconfigured; activate it first'
         assert client.change(Transition.TRANSITION_CONFIGURE)
         assert client.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
         assert client.state() == 'finalized'
@@ -85,7 +87,8 @@ def test_without_a_model_points_are_collected_but_not_registered(start_node: Sta
         assert answer.message.startswith('no_model: ')
 
 
-def test_a_reference_array_is_not_passed_over(start_node: StartNode, parameters: dict[str, Any]) -> None:
+def test_a_reference_array_is_not_passed_over(start_node: StartNode, parameters: dict[str,
+                                                                                      Any]) -> None:
     node = start_node('referenced', **parameters | {'reference.topic': '/array'})
     with Client(node) as client:
         assert 'reference.topic is not supported' in client.status(state='no_model')['message']

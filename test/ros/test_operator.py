@@ -44,7 +44,8 @@ def test_a_new_registration_replaces_the_pose_for_everyone(
     heard: list[PoseStamped] = []
     client = tracker.client
     register_at(tracker, STILL)
-    subscription = client.node.create_subscription(PoseStamped, '/registration/bone_pose', heard.append, 10)
+    subscription = client.node.create_subscription(PoseStamped, '/registration/bone_pose',
+                                                   heard.append, 10)
     tracker.assert_near_truth(latched_pose(shared_node), STILL)
     register_at(tracker, MOVED)
     client.spin_until(lambda: bool(heard), 'the one who listened before did not hear the new pose')
@@ -102,16 +103,18 @@ def test_a_landmark_is_not_captured_from_a_moving_tip(tracker: Tracker) -> None:
 
 def test_a_touched_point_is_verified(tracker: Tracker) -> None:
     register_at(tracker, STILL)
-    off = tracker.truth.T_tracker_bone[:3, :3] @ [0.0, 0.0, 0.5] + tracker.truth.T_tracker_bone[:3, 3]
+    off = tracker.truth.T_tracker_bone[:3, :3] @ [0.0, 0.0, 0.5] + tracker.truth.T_tracker_bone[:3,
+                                                                                                3]
     tracker.send(np.tile(off, (60, 1)))
     answer = tracker.client.ask('verify')
     assert not answer.success
     assert 'outside' in answer.message
 
 
-def test_a_session_is_saved_and_loaded_by_another_node(
-        tracker: Tracker, shared_node: NodeProcess, parameters: dict[str, Any], shared_session: Path,
-        start_node: StartNode) -> None:
+def test_a_session_is_saved_and_loaded_by_another_node(tracker: Tracker, shared_node: NodeProcess,
+                                                       parameters: dict[str,
+                                                                        Any], shared_session: Path,
+                                                       start_node: StartNode) -> None:
     register_at(tracker, STILL)
     before = tracker.client.status(state='registered')
     assert tracker.client.ask('save').success
@@ -185,8 +188,9 @@ def test_the_transform_is_resent(tracker: Tracker) -> None:
         pytest.skip('tf2_msgs is neither installed nor built, see test/ros/tf2_msgs/build.py')
     register_at(tracker, MOVED)
     first = tracker.client.hear(TFMessage, '/tf', 10).transforms[0]
-    later = tracker.client.hear(TFMessage, '/tf', 10,
-                                lambda message: message.transforms[0].header.stamp != first.header.stamp)
+    later = tracker.client.hear(
+        TFMessage, '/tf', 10,
+        lambda message: message.transforms[0].header.stamp != first.header.stamp)
     _, T, parent, child = ros.transform_from(later.transforms[0])
     assert (parent, child) == ('tracker', 'bone')
     tracker.assert_near_truth(T, MOVED)

@@ -15,9 +15,9 @@ from gsdf_registration.config import Config, settings
 
 pytestmark = pytest.mark.ros
 StartNode = Callable[..., NodeProcess]
-DOUBLE, STRING, STRINGS, DOUBLES, INTEGER = (
-    Parameter.Type.DOUBLE, Parameter.Type.STRING, Parameter.Type.STRING_ARRAY, Parameter.Type.DOUBLE_ARRAY,
-    Parameter.Type.INTEGER)
+DOUBLE, STRING, STRINGS, DOUBLES, INTEGER = (Parameter.Type.DOUBLE, Parameter.Type.STRING,
+                                             Parameter.Type.STRING_ARRAY,
+                                             Parameter.Type.DOUBLE_ARRAY, Parameter.Type.INTEGER)
 
 
 def value_of(client: Client, name: str) -> Any:
@@ -28,10 +28,12 @@ def value_of(client: Client, name: str) -> Any:
 
 def test_every_setting_is_declared_and_described(client: Client) -> None:
     names = [name for name, _ in settings()]
-    listed = client.result(client.start(ListParameters, 'list_parameters', ListParameters.Request()))
+    listed = client.result(client.start(ListParameters, 'list_parameters',
+                                        ListParameters.Request()))
     assert set(names) <= set(listed.result.names)
-    described = client.result(client.start(
-        DescribeParameters, 'describe_parameters', DescribeParameters.Request(names=names))).descriptors
+    described = client.result(
+        client.start(DescribeParameters, 'describe_parameters',
+                     DescribeParameters.Request(names=names))).descriptors
     for (name, setting), descriptor in zip(settings(), described):
         about = setting.metadata
         assert descriptor.description.startswith(about['description'])
@@ -74,7 +76,8 @@ def test_all_of_a_request_or_none(client: Client) -> None:
 def test_a_change_takes_effect_at_once(client: Client) -> None:
     assert client.set_parameters(Parameter('limits.min_points', INTEGER, 77)) == ''
     assert '77 are needed' in client.ask('register').message
-    assert client.set_parameters(Parameter('limits.min_points', INTEGER, Config().limits.min_points)) == ''
+    assert client.set_parameters(Parameter('limits.min_points', INTEGER,
+                                           Config().limits.min_points)) == ''
 
 
 @pytest.mark.parametrize('given, complaint', [

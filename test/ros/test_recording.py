@@ -17,8 +17,10 @@ pytestmark = pytest.mark.ros
 
 
 def player(*options: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, '-m', 'gsdf_registration.node.player', str(BAG), '--rate', '8',
-                             *options], cwd=ROOT)
+    return subprocess.Popen(
+        [sys.executable, '-m', 'gsdf_registration.node.player',
+         str(BAG), '--rate', '8', *options],
+        cwd=ROOT)
 
 
 @pytest.mark.parametrize('options, topics', [
@@ -30,7 +32,8 @@ def test_recording_gives_the_bone(shared_node: NodeProcess, tracker: Tracker, op
     client = tracker.client
     with player('--topic', '/probe/landmarks', *options):
         for name in tracker.truth.landmark_names:
-            client.spin_until(lambda: client.ask('capture_landmark').success, f'{name} was not captured')
+            client.spin_until(lambda: client.ask('capture_landmark').success,
+                              f'{name} was not captured')
     client.collect(True)
     players = [player('--topic', '/probe/tip', '--as', topic, *options) for topic in topics]
     assert [process.wait() for process in players] == [0] * len(topics)

@@ -58,7 +58,8 @@ def test_signals_end_a_node_that_is_loading_its_bone(
         start_node: StartNode, parameters: dict[str, Any], monkeypatch: pytest.MonkeyPatch,
         tmp_path: Path) -> None:
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))     # nothing there: the field must be built
-    node = start_node('loading', **parameters | {'autostart': 'false', 'model.voxel_size': '0.0003'})
+    node = start_node('loading',
+                      **parameters | {'autostart': 'false', 'model.voxel_size': '0.0003'})
     with Client(node) as client:
         client.await_state('unconfigured')
         client.begin(Transition.TRANSITION_CONFIGURE)

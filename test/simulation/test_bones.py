@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bones are whole, of a bone's size, unlike their mirror images, and have the parts a bone has."""
+"""
+The bones are whole, of a bone's size, unlike their mirror images, and have the parts a bone has.
+"""
 
 from __future__ import annotations
 
@@ -68,9 +70,11 @@ def test_head_is_round_and_stands_on_a_neck(femur_bone: Path) -> None:
     mesh = load(femur_bone)
     from_head = mesh.triangles_center - femur.HEAD
     away = np.linalg.norm(from_head, axis=1)
-    head = (away < 1.05 * femur.HEAD_RADIUS) & ((mesh.face_normals * from_head).sum(axis=1) > 0.97 * away)
+    head = (away < 1.05 * femur.HEAD_RADIUS) & (
+        (mesh.face_normals * from_head).sum(axis=1) > 0.97 * away)
     assert mesh.area_faces[head].sum() > 0.6 * 4.0 * np.pi * femur.HEAD_RADIUS**2
-    assert (np.abs(away[head] - femur.HEAD_RADIUS) < 1.0).mean() > 0.99     # all but the bottom of the fovea
+    # all but the bottom of the fovea
+    assert (np.abs(away[head] - femur.HEAD_RADIUS) < 1.0).mean() > 0.99
     neck = mesh.section([1.0, 0.0, -1.0], np.array(femur.HEAD) + [25.0, -4.0, -22.0])
     assert neck is not None
     widths = [np.ptp(loop, axis=0).max() for loop in neck.discrete]

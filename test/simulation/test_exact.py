@@ -5,5 +5,7 @@ from exact import distances
 
 def test_face_edge_corner() -> None:
     triangle = 0.01 * np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
-    points = 0.01 * np.array([[0.2, 0.2, 0.5], [0.5, -0.3, 0.0], [-0.3, -0.4, 0.0], [1.0, 1.0, 0.0]])
-    np.testing.assert_allclose(distances(points, triangle), 0.01 * np.array([0.5, 0.3, 0.5, np.sqrt(0.5)]))
+    points = 0.01 * np.array([[0.2, 0.2, 0.5], [0.5, -0.3, 0.0], [-0.3, -0.4, 0.0], [1.0, 1.0, 0.0]
+                              ])
+    np.testing.assert_allclose(distances(points, triangle),
+                               0.01 * np.array([0.5, 0.3, 0.5, np.sqrt(0.5)]))

@@ -22,7 +22,10 @@ Surface = tuple[np.ndarray, np.ndarray]
 
 def test_made_again_bit_for_bit(bags: Path, tmp_path: Path) -> None:
     pytest.importorskip('skimage')
-    subprocess.run([sys.executable, MAKE, tmp_path], cwd=MAKE.parents[1], check=True, capture_output=True,
+    subprocess.run([sys.executable, MAKE, tmp_path],
+                   cwd=MAKE.parents[1],
+                   check=True,
+                   capture_output=True,
                    env={'PYTHONPATH': str(MAKE.parents[1]), 'PATH': ''})
     made = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob('*') if path.is_file())
     shipped = sorted(path.relative_to(bags) for path in bags.rglob('*') if path.is_file())
@@ -33,8 +36,8 @@ def test_made_again_bit_for_bit(bags: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('run, surface, sigma, rate', [
     ('optical_run', 'hip_surface', 0.15e-3, 80.0), ('em_run', 'femur_surface', 0.4e-3, 40.0)])
-def test_recording_lies_on_the_bone_at_the_truth(request: pytest.FixtureRequest, run: str, surface: str,
-                                                 sigma: float, rate: float) -> None:
+def test_recording_lies_on_the_bone_at_the_truth(request: pytest.FixtureRequest, run: str,
+                                                 surface: str, sigma: float, rate: float) -> None:
     recording, truth = request.getfixturevalue(run)
     vertices, faces = request.getfixturevalue(surface)
     assert set(recording.frame_ids) == {truth.frame_id}
@@ -49,7 +52,8 @@ def test_recording_lies_on_the_bone_at_the_truth(request: pytest.FixtureRequest,
     assert 0.9 < np.abs(truth.T_tracker_bone[2, 3]) < 1.7       # as far away as trackers see well
 
 
-@pytest.mark.parametrize('run, surface', [('optical_run', 'hip_surface'), ('em_run', 'femur_surface')])
+@pytest.mark.parametrize('run, surface', [('optical_run', 'hip_surface'),
+                                          ('em_run', 'femur_surface')])
 def test_landmarks_are_on_the_bone_and_touched_nearby(request: pytest.FixtureRequest, run: str,
                                                       surface: str) -> None:
     truth: Truth = request.getfixturevalue(run)[1]

@@ -24,8 +24,8 @@ def straight(surface: trimesh.Trimesh, start: np.ndarray, heading: np.ndarray, l
     face = int(np.argmin(np.linalg.norm(patch.corners.mean(axis=1) - start, axis=1)))
     edge = patch.corners[face, 1] - patch.corners[face, 0]
     angle = np.arctan2(np.cross(edge, heading) @ patch.normals[face], edge @ heading)
-    return walk(patch, start[None], np.array([face]), np.array([angle]), np.zeros(samples, dtype=np.int64),
-                np.full(samples, length), np.zeros(samples))[0]
+    return walk(patch, start[None], np.array([face]), np.array([angle]),
+                np.zeros(samples, dtype=np.int64), np.full(samples, length), np.zeros(samples))[0]
 
 
 def test_straight_round_the_corner_of_a_cube() -> None:
@@ -33,7 +33,8 @@ def test_straight_round_the_corner_of_a_cube() -> None:
     points = straight(CUBE, start, np.array([1.0, 0.0, 0.0]), 1.0, 9)
     np.testing.assert_allclose(points[1], [1.0, 0.05, 0.9], atol=1e-12)
     np.testing.assert_allclose(points[3], [0.9, 0.05, -1.0], atol=1e-12)
-    np.testing.assert_allclose(points[8], start, atol=1e-12)       # all round: the cube's girth is 8
+    # all round: the cube's girth is 8
+    np.testing.assert_allclose(points[8], start, atol=1e-12)
 
 
 def test_straight_on_a_ball_is_nearly_a_great_circle() -> None:
@@ -67,7 +68,8 @@ def test_exposed_is_near_facing_and_connected(hip_surface: tuple[np.ndarray, np.
     patch = exposed_patch(vertices, faces, (0.0, 0.0, 0.0), 0.04, approach)
     assert (np.linalg.norm(patch.corners.mean(axis=1), axis=1) < 0.04).all()
     assert (patch.normals @ patch.approach > FACING).all()
-    mesh = trimesh.Trimesh(patch.corners.reshape(-1, 3), np.arange(3 * len(patch.corners)).reshape(-1, 3))
+    mesh = trimesh.Trimesh(patch.corners.reshape(-1, 3),
+                           np.arange(3 * len(patch.corners)).reshape(-1, 3))
     assert mesh.body_count == 1
 
 

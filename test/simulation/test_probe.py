@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings are what was asked for, on the bone where they say so, and the same for the same seed."""
+"""
+Recordings are what was asked for, on the bone where they say so, and the same for the same seed.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ from gsdf_registration import rigid
 from gsdf_registration.result import InputError
 from gsdf_registration.simulation.interference import Interference, Kind
 from gsdf_registration.simulation.patch import Patch
-from gsdf_registration.simulation.probe import Drag, Hand, Tracker, drag, measured, random_pose, rest
+from gsdf_registration.simulation.probe import (
+    Drag,
+    Hand,
+    Tracker,
+    drag,
+    measured,
+    random_pose,
+    rest,
+)
 from gsdf_registration.simulation.regions import named_patch
 
 MIXED = Interference(uniform=0.1, soft_tissue=0.2, lift_off=0.1, other_object=0.15, resting=0.05)
@@ -25,7 +35,8 @@ def cup(hip_surface: tuple[np.ndarray, np.ndarray]) -> Patch:
 
 
 def mixed(cup: Patch, seed: int = 0, **more: object) -> Drag:
-    return drag(cup, 600, np.random.default_rng(seed), interference=MIXED, **more)   # type: ignore[arg-type]
+    # type: ignore[arg-type]
+    return drag(cup, 600, np.random.default_rng(seed), interference=MIXED, **more)
 
 
 def test_samples_lie_where_their_kind_says(cup: Patch) -> None:
@@ -51,13 +62,18 @@ def test_soft_tissue_is_outward_and_smooth(cup: Patch) -> None:
     face = np.argmin(np.linalg.norm(lifted[:, None] - nearest, axis=2), axis=1)
     outward = ((lifted - nearest[face]) * cup.normals[face]).sum(axis=1)
     assert (outward > 0.0).mean() > 0.99
-    assert (np.diff(run.kinds.astype(int)) != 0).sum() < 0.1 * len(run.kinds)      # in patches, not scattered
+    # in patches, not scattered
+    assert (np.diff(run.kinds.astype(int)) != 0).sum() < 0.1 * len(run.kinds)
 
 
 def test_noise_is_as_asked(cup: Patch) -> None:
     T = random_pose(np.random.default_rng(7))
     sigma = np.array([0.3e-3, 0.5e-3, 0.7e-3])
-    run = drag(cup, 4000, np.random.default_rng(1), tracker=Tracker(sigma=tuple(sigma)), T_tracker_bone=T)
+    run = drag(cup,
+               4000,
+               np.random.default_rng(1),
+               tracker=Tracker(sigma=tuple(sigma)),
+               T_tracker_bone=T)
     error = run.positions - rigid.transform(T, run.tips)
     np.testing.assert_allclose(error.std(axis=0), sigma, rtol=0.06)
     assert np.abs(error.mean(axis=0)).max() < 0.05e-3
@@ -77,7 +93,8 @@ def test_distortion_is_smooth_and_as_large_as_asked() -> None:
 @settings(max_examples=25, deadline=None)
 @given(shares=st.lists(st.floats(0.0, 0.18), min_size=5, max_size=5), dropouts=st.floats(0.0, 0.5),
        points=st.integers(30, 800), seed=st.integers(0, 2**32 - 1))
-def test_shares_and_stamps(cup: Patch, shares: list[float], dropouts: float, points: int, seed: int) -> None:
+def test_shares_and_stamps(cup: Patch, shares: list[float], dropouts: float, points: int,
+                           seed: int) -> None:
     run = drag(cup, points, np.random.default_rng(seed), interference=Interference(*shares),
                tracker=Tracker(dropouts=dropouts))
     counts = np.bincount(run.kinds, minlength=len(Kind))
@@ -94,7 +111,10 @@ def test_outliers_prevail_if_asked(cup: Patch) -> None:
 
 
 def test_paced_like_a_recording(cup: Patch) -> None:
-    run = drag(cup, 3000, np.random.default_rng(0), tracker=Tracker(rate=40.0, sigma=0.0, dropouts=0.05))
+    run = drag(cup,
+               3000,
+               np.random.default_rng(0),
+               tracker=Tracker(rate=40.0, sigma=0.0, dropouts=0.05))
     gaps = np.diff(run.stamps)
     same = np.diff(run.strokes) == 0
     assert abs(np.median(gaps[same]) - 0.025) < 0.0005
@@ -121,7 +141,8 @@ def test_same_seed_same_recording(cup: Patch) -> None:
 
 def test_pose_moves_points_and_nothing_else(cup: Patch) -> None:
     T = random_pose(np.random.default_rng(9))
-    still, moved = (mixed(cup, 4, tracker=Tracker(sigma=0.0), T_tracker_bone=pose) for pose in (None, T))
+    still, moved = (mixed(cup, 4, tracker=Tracker(sigma=0.0), T_tracker_bone=pose)
+                    for pose in (None, T))
     np.testing.assert_array_equal(still.kinds, moved.kinds)
     np.testing.assert_array_equal(still.strokes, moved.strokes)
     np.testing.assert_array_equal(still.tips, moved.tips)
@@ -131,7 +152,10 @@ def test_pose_moves_points_and_nothing_else(cup: Patch) -> None:
 def test_landmarks_are_missed_by_little_and_held(cup: Patch) -> None:
     places = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.02]])
     T = random_pose(np.random.default_rng(1))
-    held = rest(places, np.random.default_rng(2), tracker=Tracker(rate=40.0, sigma=0.0), T_tracker_bone=T)
+    held = rest(places,
+                np.random.default_rng(2),
+                tracker=Tracker(rate=40.0, sigma=0.0),
+                T_tracker_bone=T)
     miss = np.linalg.norm(held.tips - places[held.strokes], axis=1)
     assert miss.min() >= 0.002 and miss.max() <= 0.004
     for k in range(3):
@@ -144,7 +168,9 @@ def test_landmarks_are_missed_by_little_and_held(cup: Patch) -> None:
 
 def test_random_poses() -> None:
     rng = np.random.default_rng(0)
-    angles = np.degrees([rigid.angle_between(np.eye(3), random_pose(rng)[:3, :3]) for _ in range(400)])
+    angles = np.degrees(
+        [rigid.angle_between(np.eye(3),
+                             random_pose(rng)[:3, :3]) for _ in range(400)])
     assert 120.0 < angles.mean() < 132.0        # uniform over SO(3): 126.5
     for _ in range(50):
         T = random_pose(rng, angle=np.radians(45.0), translation=0.5)
@@ -152,7 +178,9 @@ def test_random_poses() -> None:
         assert rigid.angle_between(np.eye(3), T[:3, :3]) <= np.radians(90.0)
 
 
-@pytest.mark.parametrize('bad', [Interference(uniform=-0.1), Interference(uniform=0.5, soft_tissue=0.5)])
+@pytest.mark.parametrize('bad',
+                         [Interference(uniform=-0.1),
+                          Interference(uniform=0.5, soft_tissue=0.5)])
 def test_impossible_shares_are_refused(cup: Patch, bad: Interference) -> None:
     with pytest.raises(InputError, match='shares of interference'):
         drag(cup, 100, np.random.default_rng(0), interference=bad)

@@ -18,7 +18,8 @@ Surface = tuple[np.ndarray, np.ndarray]
 def test_acetabulum(hip_surface: Surface) -> None:
     T = random_pose(np.random.default_rng(3))
     patch = named_patch('acetabulum', transform(T, hip_surface[0]), hip_surface[1])
-    assert np.linalg.norm(patch.corners.mean(axis=1) - T[:3, 3], axis=1).max() < RADIUS['acetabulum'] + 0.001
+    assert np.linalg.norm(patch.corners.mean(axis=1) - T[:3, 3],
+                          axis=1).max() < RADIUS['acetabulum'] + 0.001
     assert patch.approach @ T[:3, :3] @ hip.CUP_AXIS > 0.95
 
 

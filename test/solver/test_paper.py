@@ -40,7 +40,8 @@ def difference(a: Array, b: Array) -> float:
     """Return how far the two poses put the bone's far end apart, m."""
     corners = np.vstack([bone_field().bounds, np.zeros(3)])
     a, b = rigid.inverse(a), rigid.inverse(b)
-    return float(np.linalg.norm(rigid.transform(a, corners) - rigid.transform(b, corners), axis=1).max())
+    return float(
+        np.linalg.norm(rigid.transform(a, corners) - rigid.transform(b, corners), axis=1).max())
 
 
 def mixed(n: int = 400, outliers: int = 60, seed: int = 0) -> Array:
@@ -87,7 +88,9 @@ def test_weights_are_cauchy_of_a_length() -> None:
     solution = solve(points, bone_field(), near(1), PAPER)
     kept = solution.weights > 0.0
     distance, _ = bone_field().sample(rigid.transform(solution.T_bone_tracker, points))
-    np.testing.assert_allclose(solution.weights[kept], 1.0 / (1.0 + (distance[kept] / 1e-3)**2), atol=1e-6)
+    np.testing.assert_allclose(solution.weights[kept],
+                               1.0 / (1.0 + (distance[kept] / 1e-3)**2),
+                               atol=1e-6)
     assert (solution.weights[kept] >= PAPER.discard_below).all()
     # d(w e)/de of the Cauchy weight
     u = (distance[kept] / 1e-3)**2
@@ -99,7 +102,8 @@ def test_what_is_off_the_bone_is_discarded_and_nothing_else() -> None:
     discarded = np.isnan(solution.residuals)
     assert discarded[340:].all()
     assert discarded[:340].sum() <= 3
-    assert (solution.weights[discarded] == 0.0).all() and (solution.curvature[discarded] == 0.0).all()
+    assert (solution.weights[discarded] == 0.0).all() and (solution.curvature[discarded]
+                                                           == 0.0).all()
     assert difference(solution.T_bone_tracker, T_BONE_TRACKER) < 1e-3
 
 
@@ -113,8 +117,8 @@ def test_a_discarded_point_never_returns() -> None:
     for steps in range(1, 30):
         R, t = np.ascontiguousarray(guess[:3, :3]), rigid.transform(guess, centre)
         keep, weight = np.ones(n, dtype=np.bool_), np.zeros(n)
-        algorithm_1(bone_field().arrays, points - centre, R, t, keep, weight, np.zeros(n), np.zeros((n, 6)),
-                    gauss_newton.empty_history(steps), 1e-3, 0.1, 1e-3, 2)
+        algorithm_1(bone_field().arrays, points - centre, R, t, keep, weight, np.zeros(n),
+                    np.zeros((n, 6)), gauss_newton.empty_history(steps), 1e-3, 0.1, 1e-3, 2)
         left.append(keep)
     assert left[-1].sum() < n
     for earlier, later in zip(left[:-1], left[1:]):
@@ -135,9 +139,11 @@ def test_the_end_must_hold_as_often_as_asked() -> None:
 def test_the_reason_of_the_end_is_told() -> None:
     points = seen(touched(300, 1, 3e-4))
     short = solve(points, bone_field(), near(5), dataclasses.replace(PAPER, max_iterations=2))
-    assert (short.settled, short.iterations, short.termination) == (False, 2, 'the iterations ran out')
+    assert (short.settled, short.iterations, short.termination) == (False, 2,
+                                                                    'the iterations ran out')
     # 0.1 m off every point is discarded
-    lost = solve(points, bone_field(), rigid.exp([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]) @ T_BONE_TRACKER, PAPER)
+    lost = solve(points, bone_field(),
+                 rigid.exp([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]) @ T_BONE_TRACKER, PAPER)
     assert (lost.settled, lost.termination) == (False, 'the points do not hold the pose')
 
 
@@ -157,7 +163,11 @@ def test_history_has_a_row_a_step_and_goes_down() -> None:
 @given(seeds)
 @LAW
 def test_the_pose_moves_with_the_points(seed: int) -> None:
-    """Registering T X gives the pose T T_tracker_bone: the tracker's place in the world does not matter."""
+    """
+    Registering T X gives the pose T T_tracker_bone.
+
+    The tracker's place in the world does not matter.
+    """
     rng = np.random.default_rng(seed)
     T = rigid.exp(np.concatenate([rng.uniform(-1.5, 1.5, 3), rng.uniform(-2.0, 2.0, 3)]))
     points, guess = mixed(seed=seed % 10), near(seed)
@@ -179,16 +189,20 @@ def test_the_order_of_the_points_does_not_matter(seed: int) -> None:
 
 
 def scaled_solution(factor: float, seed: int) -> Solution:
-    """Return the solution with every length, of bone, points, guess and settings, in another unit."""
+    """
+    Return the solution with every length, of bone, points, guess and settings, in another unit.
+    """
     field = bone_field()
     nodes = field.arrays.nodes.copy()
     nodes[:, 0] *= np.float32(factor)
-    arrays = field.arrays._replace(origin=field.arrays.origin * factor, voxel=field.arrays.voxel * factor,
+    arrays = field.arrays._replace(origin=field.arrays.origin * factor,
+                                   voxel=field.arrays.voxel * factor,
                                    nodes=nodes)
     guess = near(seed)
     guess[:3, 3] *= factor
     config = dataclasses.replace(PAPER, cauchy_scale=PAPER.cauchy_scale * factor)
-    return solve(factor * mixed(seed=seed % 10), dataclasses.replace(field, arrays=arrays), guess, config)
+    return solve(factor * mixed(seed=seed % 10), dataclasses.replace(field, arrays=arrays), guess,
+                 config)
 
 
 @given(seeds, st.sampled_from([1000.0, 1e-3, 4.0]))
@@ -200,7 +214,9 @@ def test_the_unit_of_length_does_not_matter(seed: int, factor: float) -> None:
     assert difference(T, metres.T_bone_tracker) < 1e-9 * bone_field().extent * 10
     assert other.iterations == metres.iterations
     kept = metres.weights > 0.0
-    np.testing.assert_allclose(other.residuals[kept], factor * metres.residuals[kept], atol=factor * 1e-9)
+    np.testing.assert_allclose(other.residuals[kept],
+                               factor * metres.residuals[kept],
+                               atol=factor * 1e-9)
 
 
 def test_the_same_bits_twice_and_from_many_threads() -> None:

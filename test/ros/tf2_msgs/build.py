@@ -2,8 +2,8 @@
 """
 Build tf2_msgs into the virtual environment of the Python that runs this.
 
-The ROS wheels have no tf2_msgs, without which nothing goes out on /tf, but they carry the generators
-(extra ``test``).  Where tf2_msgs is there already, there is nothing to do.
+The ROS wheels have no tf2_msgs, without which nothing goes out on /tf, but they carry the
+generators (extra ``test``).  Where tf2_msgs is there already, there is nothing to do.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ CHECK = ('from tf2_msgs.msg import TFMessage as M; type(M).__import_type_support
 
 def is_built() -> bool:
     """Tell whether a new process can send a TFMessage."""
-    return subprocess.run([sys.executable, '-c', CHECK], cwd=PREFIX, capture_output=True).returncode == 0
+    return subprocess.run([sys.executable, '-c', CHECK], cwd=PREFIX,
+                          capture_output=True).returncode == 0
 
 
 def point_cmake_at_this_python() -> None:
