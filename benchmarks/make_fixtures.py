@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Make everything in bags/ anew, bit for bit: bones from implicit solids, recordings with `gsdf
-simulate`.
+Make all of bags/ anew, bit for bit: bones from implicit solids, recordings with `gsdf simulate`.
 
 Usage: ``python benchmarks/make_fixtures.py [DIRECTORY]`` (default: bags/ of this checkout).
 """

@@ -1,4 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find a bone under a tracked probe: partial-to-full registration on gradient-SDFs."""
+"""
+Find a bone under a tracked probe: partial-to-full registration on gradient-SDFs.
+
+The names in ``__all__`` are the public interface; each is loaded when it is first asked for, so
+that importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
 
 __version__ = '0.1.0'
+
+_HOME = {
+    'Bone': 'bone', 'make_bone': 'bone',
+    'Config': 'config',
+    'Field': 'field', 'build_field': 'field', 'cached_field': 'field',
+    'load_field': 'field', 'save_field': 'field',
+    'load_model': 'model',
+    'pose_from_landmarks': 'landmarks',
+    'register': 'registration',
+    'InputError': 'result', 'Reason': 'result', 'Refusal': 'result', 'RegistrationResult': 'result',
+    'Session': 'session',
+}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module (PEP 562)."""
+    if name not in _HOME:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'{__name__}.{_HOME[name]}'), name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bone to look for: one clean, outward-oriented surface, made of whatever a segmentation left behind."""
+"""The bone to look for: one clean, outward-oriented surface, made of what a segmentation left."""
 
 from __future__ import annotations
 

@@ -47,9 +47,7 @@ class Rejection(str, Enum):
 
     @property
     def is_of_sample(self) -> bool:
-        """
-        Whether the sample itself is at fault, so that it is good for nothing, a landmark included.
-        """
+        """Whether the sample itself is at fault: good for nothing, not even a landmark."""
         return self in _OF_SAMPLE
 
 
@@ -109,9 +107,7 @@ class Collection:
         self.clear()
 
     def clear(self) -> None:
-        """
-        Forget all points, counts, stamps and the frame learnt; whether we collect stays as it is.
-        """
+        """Forget all points, counts, stamps and the frame learnt; go on collecting, or not."""
         self.frame_id: str | None = self._wanted_frame or None      # None: not known yet
         self.received = 0
         self.undone = 0
@@ -234,8 +230,7 @@ class Collection:
             return Rejection.DUPLICATE
         if stream.seen is not None and self._too_fast(stream.seen, stream.seen_stamp, point, stamp):
             # One wild point must not lock out all good ones after it, nor a lost track what follows
-            # it: a silence, or a few points that agree with one another, and the tip is where they
-            # say.
+            # it: a silence, or a few points that agree, and the tip is where they say.
             lost = stamp - stream.seen_stamp > self.gate.max_gap
             if not lost and not self._agrees(stream, point, stamp):
                 return Rejection.TOO_FAST
@@ -283,8 +278,7 @@ class Collection:
         Raises
         ------
         InputError
-            When they are too many, or in another frame than the one wanted; nothing is changed
-            then.
+            When they are too many, or in another frame than wanted; nothing is changed then.
 
         """
         if len(points.stamps) > self.max_points:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-How good a pose is: its covariance, the error to expect at a target, and the motion the data hold
-least.
+How good a pose is: its covariance, the error to expect at a target, and the motion held least.
 
 All of it follows from one 6 x 6 matrix, the covariance of a small motion [rotation about m,
 translation] of the bone frame, m the centroid of the points: for a target q the motion is B_q [xi,
@@ -41,17 +40,14 @@ class Confidence:
     pattern: float
 
     def predicted_tre(self, targets: Array) -> Array:
-        """
-        Return the predicted TRE (RMS, m) at each of ``targets`` (n, 3), m, bone frame; shape (n,).
-        """
+        """Return the predicted TRE (n,) (RMS, m) at each of ``targets`` (n, 3), m, bone frame."""
         # trace(B C B^T) with B = [-(q - m)^, I], written out for all targets at once
         B = motion_at(targets - self.centre)
         return np.asarray(np.sqrt((B @ self.motion_covariance * B).sum(axis=(1, 2))))
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
-        Return the (6, 6) covariance of the bone's pose in REP-103 order: x y z rx ry rz, fixed
-        axes, m and rad.
+        Return the (6, 6) pose covariance in REP-103 order: x y z rx ry rz, fixed axes, m and rad.
 
         A motion D of the bone frame turns ``T_tracker_bone`` into T D^-1, so the origin moves by R
         (xi x m - phi) and the attitude by -R xi.
@@ -142,14 +138,13 @@ def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str,
         sentence = (f'least held is a rotation about the axis {place} along {along}: '
                     f'{np.degrees(angle):.2f} deg (one standard deviation)')
     else:
-        sentence = f'least held is sliding along {along}: {1e3 * np.linalg.norm(phi):.2f} mm (one standard deviation)'
+        sentence = (f'least held is sliding along {along}: '
+                    f'{1e3 * np.linalg.norm(phi):.2f} mm (one standard deviation)')
     return WeakestDirection(direction, point, pitch, angle, float(np.linalg.norm(phi)), sentence)
 
 
 def _direction_words(direction: Array, surface: Array) -> str:
-    """
-    Name a direction: the bone's long axis if it is that, else its components in the bone frame.
-    """
+    """Name a direction: the bone's long axis if it is that, else components in the bone frame."""
     _, spread, axes = np.linalg.svd(surface - surface.mean(axis=0), full_matrices=False)
     if spread[0] > 2.0 * spread[1] and abs(axes[0] @ direction) > np.cos(np.radians(15.0)):
         return "the bone's long axis"

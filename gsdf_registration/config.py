@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Every setting, once: the same dotted names here, in ``config/*.yaml``, in ``--config`` and as ROS
-parameters.
+Every setting, once: one dotted name here, in ``config/*.yaml``, ``--config`` and ROS parameters.
 
 You need none of this to run the system; the defaults are meant to do.
 """
@@ -262,9 +261,7 @@ class Config:
 
 
 def settings() -> Iterator[tuple[str, dataclasses.Field[Any]]]:
-    """
-    Yield the dotted name and the field of every setting; metadata: description, unit, low, high...
-    """
+    """Yield dotted name and field of every setting; metadata: description, unit, low, high..."""
     for section in dataclasses.fields(Config):
         for setting in dataclasses.fields(section.default_factory):  # type: ignore[arg-type]
             yield f'{section.name}.{setting.name}', setting

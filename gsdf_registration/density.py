@@ -51,7 +51,7 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
 
 
 def _least_neighbours(neighbours: NDArray[np.intp]) -> int:
-    """Return how many neighbours a point must have so that chance explains at most one in a hundred such."""
+    """Return how many neighbours a point needs so that chance explains at most one in 100 such."""
     lone, paired = np.count_nonzero(neighbours == 0), np.count_nonzero(neighbours == 1)
     # Scattered points have Poisson counts, whose rate is the ratio of their first two frequencies
     rate = paired / lone if lone > 20 else 0.0

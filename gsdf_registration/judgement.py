@@ -85,13 +85,14 @@ def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, 
     if confidence.sigma > limits.max_sigma:
         return Refusal(
             Reason.MODEL_MISMATCH,
-            f'the points scatter {length(confidence.sigma)} about the bone, more than any tracker does; '
-            'check that this is the bone')
+            f'the points scatter {length(confidence.sigma)} about the bone, more than any tracker '
+            'does; check that this is the bone')
     if confidence.pattern > limits.max_pattern and inliers < limits.clear_inliers * used:
         return Refusal(
             Reason.MODEL_MISMATCH,
-            f'{used - inliers} of {used} points lie off the bone, and the others fit it no better than '
-            'another bone would; check that the model is of this patient, this side and this unit')
+            f'{used - inliers} of {used} points lie off the bone, and the others fit it no better '
+            'than another bone would; check that the model is of this patient, this side '
+            'and this unit')
     error = error_that_matters(confidence, rigid.transform(choice.solution.T_bone_tracker, on_bone),
                                field, config)
     if error > limits.max_predicted_tre:
@@ -130,8 +131,8 @@ def summary(known: dict[str, Any]) -> str:
     """Return one plain sentence on a pose that may be used."""
     return (
         f'registered on {known["inliers"]} of {known["used"]} points; expected error '
-        f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone; {known["weakest_direction"].sentence}'
-    )
+        f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone; '
+        f'{known["weakest_direction"].sentence}')
 
 
 def length(metres: float) -> str:

@@ -38,8 +38,8 @@ def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, fl
     model, tracker = as_numbers(model, 'model landmarks'), as_numbers(tracker, 'touched landmarks')
     if model.shape != tracker.shape or model.ndim != 2 or model.shape[1] != 3:
         raise InputError(
-            f'landmarks need one touched point for each model point; got arrays of shape {model.shape} and '
-            f'{tracker.shape}')
+            f'landmarks need one touched point for each model point; got arrays of shape '
+            f'{model.shape} and {tracker.shape}')
     if len(model) < 3:
         raise InputError(f'{len(model)} landmark(s) do not fix a pose; touch at least three')
     if not (np.isfinite(model).all() and np.isfinite(tracker).all()):
@@ -58,10 +58,10 @@ def _refuse_degenerate(points: Array, where: str) -> None:
                             distance.shape)
     if distance[i, j] < MIN_SEPARATION:
         raise InputError(
-            f'landmarks {min(i, j) + 1} and {max(i, j) + 1} {where} are only {1e3 * distance[i, j]:.1f} mm apart; '
-            'touch points that are well apart')
+            f'landmarks {min(i, j) + 1} and {max(i, j) + 1} {where} are only '
+            f'{1e3 * distance[i, j]:.1f} mm apart; touch points that are well apart')
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < MIN_SPREAD * spread[0]:
         raise InputError(
-            f'the landmarks {where} lie on a line, which leaves the rotation about it free; touch a point '
-            'off the line')
+            f'the landmarks {where} lie on a line, which leaves the rotation about it free; touch '
+            'a point off the line')

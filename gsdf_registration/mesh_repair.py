@@ -27,8 +27,7 @@ def merge_vertices(vertices: Array, faces: np.ndarray,
     """Merge vertices in the same place; the first one's coordinates stay."""
     low = vertices.min(axis=0)
     close = SAME_PLACE * float(np.ptp(vertices, axis=0).max())
-    # first by cells of that size, which bounds the neighbours of each; then across the walls of the
-    # cells
+    # first by cells of that size, which bounds the neighbours of each; then across their walls
     cell = ((vertices - low) / close).astype(np.int64)
     _, first, label = np.unique((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2],
                                 return_index=True,
@@ -134,9 +133,7 @@ def orient_outward(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
 
 def outer_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
                  notes: list[str]) -> np.ndarray:
-    """
-    Return which faces (m,) are not of a body wholly inside another one, where no probe can go.
-    """
+    """Return which faces (m,) are not of a body wholly inside another, where no probe can go."""
     names = np.unique(bodies)
     inner = []
     for body in names if len(names) > 1 else ():
@@ -158,7 +155,7 @@ def areas(vertices: Array, faces: np.ndarray) -> Array:
 
 
 def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pairs (p, 2) of faces that alone share an edge, and whether they are wound alike (p,)."""
+    """Return pairs (p, 2) of faces that alone share an edge, and if they are wound alike (p,)."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
     order = np.argsort(key, kind='stable')
@@ -169,9 +166,7 @@ def _neighbours(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _components(pairs: np.ndarray, n: int) -> tuple[int, np.ndarray]:
-    """
-    Return number and labels (n,) of the connected components of the graph with edges ``pairs``.
-    """
+    """Return number and labels (n,) of the connected components of a graph with edges ``pairs``."""
     graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])),
                       shape=(n, n))
     count, label = connected_components(graph, directed=False)

@@ -30,8 +30,7 @@ def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
     Raises
     ------
     InputError
-        When there is no such file, it is damaged, or its size is not a bone's (reason
-        `wrong_unit`).
+        When there is no such file, it is damaged, or its size is no bone's (`wrong_unit`).
 
     """
     file = find_model(path)

@@ -68,8 +68,7 @@ def register(points: ArrayLike,
         guess = first_guess(landmarks, T_tracker_bone)
         # Points on strokes, each once; the rest is strewn interference or a reading repeated
         dense = on_strokes(points, config.search.radius) & first_of_each(points)
-        # Round the guess, if there is one; anywhere, if there is none or what it led to does not
-        # convince
+        # Round the guess, if there is one; anywhere, if there is none or its result is doubtful
         for start in (None,) if guess is None else (guess, None):
             known, refusal = _attempt(points, dense, start, field, config, cancelled, progress,
                                       history)
@@ -124,8 +123,7 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     """
     Raise a Refusal that says what is wrong with the points (n, 3), m, if anything is.
 
-    Their size is taken robustly, between the 5th and 95th percentile, for interference may lie
-    anywhere.
+    Their size is that between the 5th and 95th percentile, as interference may lie anywhere.
     """
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'points must be an (n, 3) array, not of shape {points.shape}')
@@ -140,8 +138,7 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
             f'{len(points)} points are too few, {limits.min_points} are needed; '
             'go on dragging the probe over the bone')
     extent = float(np.ptp(np.percentile(points, [5.0, 95.0], axis=0), axis=0).max())
-    # a thousand times too large or too small, on a bone that may be exposed from one end to the
-    # other
+    # a thousand times too large or too small, on a bone that may be exposed from end to end
     if not 0.002 * field.extent < extent < 20.0 * field.extent and extent > 0.0:
         raise Refusal(
             Reason.WRONG_UNIT,
@@ -156,7 +153,7 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
 
 def first_guess(landmarks: tuple[ArrayLike, ArrayLike] | None,
                 T_tracker_bone: ArrayLike | None) -> Array | None:
-    """Return the T_bone_tracker to look around, None if there is none, or raise InputError if it is no pose."""
+    """Return the T_bone_tracker to look around, or None; raise InputError if it is no pose."""
     if T_tracker_bone is not None:
         T_tracker_bone = as_numbers(T_tracker_bone, 'the initial pose')
         if not rigid.is_rigid(T_tracker_bone):

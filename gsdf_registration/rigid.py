@@ -220,8 +220,7 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
 
     """
     R = np.asarray(R, dtype=np.float64)
-    # Shepperd's method as one symmetric matrix: its rows are 4 q_i q; take the longest, which never
-    # cancels.
+    # Shepperd's method as one symmetric matrix: its rows are 4 q_i q; the longest never cancels.
     d = np.diag(R)
     t = d.sum()
     s = R + R.T

@@ -33,7 +33,7 @@ CHUNK = 64      # candidates a task: small enough to share evenly and to stop so
 
 @dataclass(frozen=True)
 class Stage:
-    """One sieve: the points used, the scale of each step (share of the reach), the field, and how many pass."""
+    """One sieve: points used, scale of each step (share of the reach), the field, how many pass."""
 
     points: int
     scales: tuple[float, ...]
@@ -104,9 +104,7 @@ def _first_sieve(sieve: _Sieve, points: Array, R: Array, t: Array) -> tuple[Arra
 
 
 def parts(points: Array, count: int) -> list[Array]:
-    """
-    Return ``count`` overlapping parts of the points, each a ball that holds two fifths of them.
-    """
+    """Return ``count`` overlapping parts of the points, each a ball that holds 2/5 of them."""
     return [
         points[np.argsort(((points - points[seed])**2).sum(axis=1),
                           kind='stable')[:max(2 * len(points) // 5, 20)]]
@@ -115,9 +113,7 @@ def parts(points: Array, count: int) -> list[Array]:
 
 
 class _Sieve:
-    """
-    Refines candidates on all cores; each for itself, so that the threads cannot change the answer.
-    """
+    """Refines candidates on all cores; each for itself, so threads cannot change the answer."""
 
     def __init__(self, pool: ThreadPoolExecutor, field: Field, config: SearchConfig,
                  cancelled: Callable[[], bool] | None, progress: Callable[[float], None] | None,
@@ -126,7 +122,7 @@ class _Sieve:
         self.cancelled, self.progress, self.stages, self.done = cancelled, progress, stages, 0
 
     def __call__(self, stage: Stage, points: Array, R: Array, t: Array) -> tuple[Array, Array]:
-        """Return the distinct best of the candidates ``R`` (m, 3, 3), ``t`` (m, 3) after the stage, best first."""
+        """Return the distinct best of the candidates R (m, 3, 3), t (m, 3) after it, best first."""
         R, t, cost = R.copy(), t.copy(), np.full(len(R), np.inf)
         points = points[spread_sample(points, stage.points)]
         scales = self.config.reach * np.array(stage.scales)
@@ -189,9 +185,8 @@ def super_fibonacci(count: int) -> Array:
 
 
 def distinct(R: Array, t: Array, points: Array, separation: float, count: int) -> NDArray[np.int64]:
-    """Return the first ``count`` poses that move the points (n, 3) apart by ``separation`` (RMS) or more, in order."""
-    # the RMS distance between two poses over the points is a norm of [R, t]: embed them, then
-    # compare
+    """Return the first ``count`` poses that move points ``separation`` (RMS) or more apart."""
+    # the RMS distance of two poses over the points is a norm of [R, t]: embed them, then compare
     _, spread, axes = np.linalg.svd(points, full_matrices=False)
     embedded = np.concatenate(
         [(R @ (axes.T * spread / math.sqrt(len(points)))).reshape(len(R), -1), t], axis=1)
@@ -200,7 +195,7 @@ def distinct(R: Array, t: Array, points: Array, separation: float, count: int) -
 
 @kernel
 def _distinct(x, separation2, count):
-    """Return the indices of the first ``count`` rows of ``x`` no two of which are nearer than the square root of separation2."""
+    """Return the first ``count`` rows of ``x``, no two of them nearer than sqrt(separation2)."""
     chosen = np.zeros(min(count, len(x)), np.int64)
     m = 0
     for i in range(len(x)):
@@ -223,11 +218,9 @@ def _distinct(x, separation2, count):
 @kernel
 def _refine(field, coarse, points, R, t, scales, cost):
     """
-    Pull in each candidate by one Gauss-Newton step a scale; ``cost``: its mean e^2 / (e^2 + c^2)
-    then.
+    Pull in each candidate by a Gauss-Newton step a scale; then ``cost``: mean e^2 / (e^2 + c^2).
 
-    That cost (Geman and McClure) levels off at one: a point far away counts once, not by its
-    distance.
+    That cost (Geman and McClure) levels off at one: a far point counts once, not by its distance.
     """
     A = np.zeros((6, 6))
     b = np.zeros(6)
@@ -256,7 +249,7 @@ def _at(field, coarse, x, y, z):
 
 @kernel
 def _normal_equations(field, coarse, points, R, t, c2, A, b):
-    """Fill A (lower triangle) and b (equations 5 and 6) with Geman and McClure's weights of scale^2 ``c2``."""
+    """Fill A (lower triangle) and b (equations 5, 6), Geman-McClure weights of scale^2 ``c2``."""
     A[:] = 0.0
     b[:] = 0.0
     J = np.zeros(6)

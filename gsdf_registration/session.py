@@ -180,9 +180,7 @@ class Session:
             return result
 
     def verify(self, now: float | None = None) -> Answer:
-        """
-        Measure the distance of the resting tip to the registered surface; never used in the fit.
-        """
+        """Measure how far the resting tip is from the registered surface; never used in the fit."""
         with self._lock:
             if self._pose_result is None or self._field is None:
                 return Answer(False, 'there is no registration to verify; register first')
@@ -209,8 +207,7 @@ class Session:
         Raises
         ------
         InputError
-            When ``probe.frame_id`` changes though points or landmarks are held; nothing is changed
-            then.
+            When ``probe.frame_id`` changes with points or landmarks held; nothing is changed then.
 
         """
         with self._lock:
@@ -273,7 +270,9 @@ class Session:
         return f'{counted(points, "point")} in {counted(strokes, "stroke")} held'
 
     def _pose_stands(self) -> str:
-        return '' if self._pose_result is None else '; the last good pose stands until the next registration'
+        if self._pose_result is None:
+            return ''
+        return '; the last good pose stands until the next registration'
 
     def to_dict(self) -> dict[str, Any]:
         """
@@ -317,7 +316,9 @@ class Session:
             self._collection.refill(saved.points, saved.frame_id, saved.rejected)
             self._touches = Touches(self._config.landmarks)
             self._source_of = {name: number for number, name in enumerate(saved.source_names)}
-            self._touches.landmarks, self._touches.verifications = saved.landmarks, saved.verifications
-            self._result, self._pose_result, self._pose_points = saved.result, saved.pose_result, None
-            self._pose_frame, self._fresh = saved.pose_frame_id, saved.result is not None
+            self._touches.landmarks = saved.landmarks
+            self._touches.verifications = saved.verifications
+            self._result, self._pose_result = saved.result, saved.pose_result
+            self._pose_points, self._pose_frame = None, saved.pose_frame_id
+            self._fresh = saved.result is not None
             self._era += 1

@@ -38,7 +38,7 @@ class SessionRecord:
     pose_frame_id: str
 
     def to_dict(self, field: Field, config: Config) -> dict[str, Any]:
-        """Return the record with the model it belongs to, the settings and the version, ready for JSON."""
+        """Return the record with its model, the settings and the version, ready for JSON."""
         head = {
             'version': __version__, 'model_sha256': field.bone_sha256, 'parameters': config.flat()
         }
@@ -77,9 +77,7 @@ class SessionRecord:
 
 
 def plain(value: Any) -> Any:
-    """
-    Return dataclasses, arrays and enums as dicts, lists and numbers; non-finite numbers as None.
-    """
+    """Return dataclasses, arrays, enums as dicts, lists and numbers; non-finite numbers as None."""
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, Points):

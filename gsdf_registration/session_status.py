@@ -29,11 +29,15 @@ class Status:
 
 _ADVICE = {
     Rejection.NOT_FINITE: 'most samples are not numbers: is the probe in view of the tracker?',
-    Rejection.WRONG_FRAME: 'most points are in another frame than the first: set probe.frame_id or clear',
-    Rejection.NOT_MONOTONIC: 'most stamps do not move forward: are they set? If a recording restarted, clear',
+    Rejection.WRONG_FRAME:
+        'most points are in another frame than the first: set probe.frame_id or clear',
+    Rejection.NOT_MONOTONIC:
+        'most stamps do not move forward: are they set? If a recording restarted, clear',
     Rejection.STALE: 'most points come in late: is the network or the computer overloaded?',
-    Rejection.POOR_QUALITY: 'the tracker reports large errors: turn the probe towards it, keep metal away',
-    Rejection.DUPLICATE: 'most points repeat the one before: the tip rests, or the tracker has lost it',
+    Rejection.POOR_QUALITY:
+        'the tracker reports large errors: turn the probe towards it, keep metal away',
+    Rejection.DUPLICATE:
+        'most points repeat the one before: the tip rests, or the tracker has lost it',
     Rejection.TOO_FAST: 'most points jump: is the unit of the points right, is there interference?',
     Rejection.FULL: 'no more points can be held (collect.max_points); register, undo or clear',
 }
@@ -61,7 +65,7 @@ def sentence(state: str, collection: Collection, result: RegistrationResult | No
 
 
 def trouble(collection: Collection) -> str:
-    """Return what is wrong with the points, if most of them are refused for one cause, or no more fit in."""
+    """Return what is wrong if most points are refused for one cause, or no more fit in."""
     counts = collection.counts
     looked_at = collection.received - counts[Rejection.NOT_COLLECTING.value]
     for cause, advice in _ADVICE.items():

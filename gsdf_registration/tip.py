@@ -37,9 +37,7 @@ class RestingTip:
     """
 
     def __init__(self, config: LandmarksConfig) -> None:
-        """
-        Remember ``config.dwell`` seconds; samples within ``config.radius`` of their mean rest.
-        """
+        """Remember ``config.dwell`` s; samples within ``config.radius`` of their mean rest."""
         self.config = config
         self._sources: dict[int, _Trail] = {}
 

@@ -99,9 +99,7 @@ class Touches:
 
     def verify(self, field: Field, pose: RegistrationResult, limit: float,
                now: float | None) -> Answer:
-        """
-        Measure the distance of the resting tip to the registered surface against ``limit``, m.
-        """
+        """Measure how far the resting tip is from the registered surface against ``limit``, m."""
         try:
             rest = self.tip.rest(now)
         except InputError as refusal:

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The generalized winding number of a mesh, with or without holes (Jacobson et al., SIGGRAPH 2013).
-"""
+"""The generalized winding number of a mesh, with holes or without (Jacobson et al. 2013)."""
 
 from __future__ import annotations
 

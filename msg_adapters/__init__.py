@@ -1,4 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The only place that knows messages, frames, units and file formats; it hands out plain arrays in SI.
-"""
+"""The only place that knows messages, frames, units, file formats; it hands out arrays in SI."""

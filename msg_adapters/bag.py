@@ -52,8 +52,7 @@ def list_topics(path: str | os.PathLike[str]) -> list[Topic]:
 
 def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None) -> Recording:
     """
-    Read the positions in a rosbag2 recording (mcap or sqlite3 storage) in the order they were
-    received.
+    Read the positions in a rosbag2 recording (mcap or sqlite3 storage) in the order received.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The files of a rosbag2 recording: which there are, their topics, and their messages, still
-serialized.
+The files of a rosbag2 recording: which there are, their topics, their messages still serialized.
 
 A recorder that was killed leaves no metadata.yaml and an mcap without its index; such files are
 read from the start as far as they go, and a note says so.
@@ -44,9 +43,7 @@ class Raw(NamedTuple):
 
 
 class BagFiles:
-    """
-    The readable parts of a bag: a directory with its metadata, or storage files one after another.
-    """
+    """The readable parts of a bag: a directory with its metadata, or storage files in order."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Find the parts of a bag (directory or storage file); `InputError` if there are none."""
@@ -98,8 +95,8 @@ class BagFiles:
             raise InputError(
                 f'{part} holds nothing readable: its recorder was killed or the copy cut short')
         note = (
-            f'{part} ends without its index, as if its recorder was killed or the copy was cut short: '
-            f'{len(found)} messages were read up to there')
+            f'{part} ends without its index, as if its recorder was killed or the copy was cut '
+            f'short: {len(found)} messages were read up to there')
         if note not in self.notes:
             self.notes.append(note)
         return found

@@ -13,9 +13,7 @@ METRES = {'mm': 0.001, 'm': 1.0}
 
 
 def metres_per(unit: str) -> float:
-    """
-    Return the length of one ``unit`` ('mm' or 'm') in metres; `InputError` for any other word.
-    """
+    """Return the length of one ``unit`` ('mm' or 'm') in metres; `InputError` for other words."""
     try:
         return METRES[unit]
     except (KeyError, TypeError):
@@ -35,9 +33,7 @@ def readable_file(path: str | os.PathLike[str]) -> Path:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """
-    Return the text of a UTF-8 file (with or without a byte order mark), or raise `InputError`.
-    """
+    """Return the text of a UTF-8 file (byte order mark or not), or raise `InputError`."""
     path = readable_file(path)
     try:
         return path.read_text(encoding='utf-8-sig')
@@ -55,8 +51,7 @@ def words_of(error: Exception) -> str:
 
 def write_atomically(path: str | os.PathLike[str], text: str) -> None:
     """
-    Write a text file so that a reader, or a crash, sees the old file or the new one and never a
-    part.
+    Write a text file so that a reader, or a crash, sees the old file or the new, never a part.
 
     Raises
     ------

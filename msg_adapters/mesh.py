@@ -138,9 +138,7 @@ def _check_off(path: Path, _: list[Any], __: int) -> None:
 
 
 def _check_obj(path: Path, _: list[Any], __: int) -> None:
-    """
-    Look for a vertex or face with fewer than three numbers, as a file that was cut short ends.
-    """
+    """Look for a vertex or face with fewer than three numbers, as a file cut short ends."""
     text = path.read_text('utf-8', 'replace')
     short = re.search(r'^[ \t]*[vf]([ \t]+\S+){0,2}[ \t]*$', text, re.MULTILINE)
     if short:

@@ -25,7 +25,7 @@ NEEDED = ('State', 'Tx', 'Ty', 'Tz')
 
 
 class _Tool(NamedTuple):
-    """A tool's block: its label, where it starts, name -> offset from there, number of markers' columns."""
+    """A tool's block: label, start, name -> offset from there, number of markers' columns."""
 
     label: str
     start: int
@@ -147,8 +147,7 @@ def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
     while len(block) > width and not block[-1]:
         block = block[:-1]
     extra = len(block) - width
-    # markers come in groups of four cells; anything else, as a decimal comma, would shift the
-    # columns
+    # markers come in groups of four cells; all else, as a decimal comma, would shift the columns
     if extra not in (*range(0, tool.extra, 4), tool.extra):
         raise InputError(
             f'{where}: has {len(block)} values for {tool.label} where {width} are expected '

@@ -29,9 +29,7 @@ NORMAL = ('nx', 'ny', 'nz')
 
 
 class Landmarks(NamedTuple):
-    """
-    Names, positions in the bone frame (k, 3) m, and where each was touched, tracker frame (k, 3) m.
-    """
+    """Names, positions in the bone frame (k, 3) m, and where touched, tracker frame (k, 3) m."""
 
     names: list[str]
     model: Array
@@ -62,8 +60,7 @@ def read_model(path: str | os.PathLike[str],
     Raises
     ------
     InputError
-        If the file is missing, damaged, cut short, of an unknown kind, or has neither faces nor
-        normals.
+        If the file is missing, damaged, cut short, of unknown kind, or has no faces and no normals.
 
     """
     scale = metres_per(unit)
@@ -181,8 +178,9 @@ def _whole(table: Table, column: str) -> NDArray[np.int32]:
 
 def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> Landmarks:
     """
-    Read pairs of landmarks: CSV with header
-    ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``.
+    Read pairs of landmarks from CSV.
+
+    Its header: ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``.
 
     Parameters
     ----------

@@ -70,17 +70,13 @@ def point_from(message: PointStamped) -> tuple[float, Array, str]:
 
 
 def pose_from(message: PoseStamped) -> tuple[float, Array, str]:
-    """
-    Return stamp (s), ``T_frame_body`` (4, 4) and frame of a pose; `InputError` if it is no motion.
-    """
+    """Return stamp (s), ``T_frame_body`` (4, 4), frame of a pose; `InputError` if no motion."""
     pose, header = message.pose, message.header
     return stamp_to_seconds(header.stamp), _motion(pose.position, pose.orientation), header.frame_id
 
 
 def transform_from(message: TransformStamped) -> tuple[float, Array, str, str]:
-    """
-    Return stamp (s), ``T_parent_child`` (4, 4), parent and child; `InputError` if it is no motion.
-    """
+    """Return stamp (s), ``T_parent_child`` (4, 4), parent, child; `InputError` if no motion."""
     motion, header = message.transform, message.header
     return (stamp_to_seconds(header.stamp), _motion(motion.translation, motion.rotation),
             header.frame_id, message.child_frame_id)
@@ -179,9 +175,7 @@ def cloud_to_arrays(message: PointCloud2) -> dict[str, NDArray[Any]]:
 
 def diagnostic_status(name: str, level: bytes, message: str, values: Mapping[str, Any],
                       hardware_id: str = '') -> DiagnosticStatus:
-    """
-    Return a status; ``level``: DiagnosticStatus.OK, WARN, ERROR or STALE; ``values`` become text.
-    """
+    """Return a status; ``level``: DiagnosticStatus.OK, WARN, ERROR, STALE; ``values``: to text."""
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     return DiagnosticStatus(name=name,
                             level=level,

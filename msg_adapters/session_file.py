@@ -20,8 +20,7 @@ def write_session(path: str | os.PathLike[str], session: dict[str, Any]) -> None
     Raises
     ------
     InputError
-        If the file cannot be written, or a value is not finite or not plain; the old file is then
-        untouched.
+        If the file cannot be written, or a value is not finite or not plain; the old one stays.
 
     """
     try:

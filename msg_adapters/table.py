@@ -66,11 +66,11 @@ class Table:
 
 def read_table(path: str | os.PathLike[str], wanted: Iterable[str] = ()) -> Table:
     """
-    Read comma, semicolon, tab or blank separated text; the first line that is not all numbers is
-    the header.
+    Read comma, semicolon, tab or blank separated text.
 
-    Blank lines and lines that begin with ``#`` are skipped, but a comment that holds all ``wanted``
-    names is the header (as numpy.savetxt writes it).
+    The first line that is not all numbers is the header.  Blank lines and lines that begin with
+    ``#`` are skipped, but a comment that holds all ``wanted`` names is the header (as numpy.savetxt
+    writes it).
 
     Raises
     ------

@@ -52,7 +52,8 @@ def test_share_is_where_ament_looks(workspace: Path) -> None:
 
 def test_the_installed_packages_import(workspace: Path, tmp_path: Path) -> None:
     site = next((workspace / 'install/gsdf_registration/lib').glob('python3*/site-packages'))
-    code = 'import gsdf_registration, msg_adapters; print(gsdf_registration.__file__, msg_adapters.__file__)'
+    code = ('import gsdf_registration, msg_adapters; '
+            'print(gsdf_registration.__file__, msg_adapters.__file__)')
     done = subprocess.run([sys.executable, '-c', code],
                           cwd=tmp_path,
                           capture_output=True,

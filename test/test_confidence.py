@@ -85,7 +85,7 @@ def test_predicted_tre_is_what_comes_out(method: str) -> None:
 
 
 def test_pose_covariance_is_that_of_the_pose_under_small_motions() -> None:
-    """Draw motions of the bone frame, move the pose by them, and take the covariance of what comes out."""
+    """Draw motions of the bone frame, move the pose by them, take the covariance of the result."""
     rng = np.random.default_rng(1)
     L = rng.normal(size=(6, 6)) * np.array([1e-3] * 3 + [1e-4] * 3)[:, None]
     centre = np.array([0.02, -0.05, 0.3])

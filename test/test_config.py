@@ -23,9 +23,9 @@ from gsdf_registration.result import InputError, Reason
 FOLDER = Path(__file__).parents[1] / 'config'
 HEAD = """\
 # SPDX-License-Identifier: Apache-2.0
-# Every setting with its default. You need none of this to run: give a file with only what you
-# change, gsdf register ... --config my.yaml ros2 launch gsdf_registration registration.launch.py
-# config:=my.yaml
+# Every setting with its default. You need none of this to run: give a file of what you change,
+#   gsdf register ... --config my.yaml
+#   ros2 launch gsdf_registration registration.launch.py config:=my.yaml
 /**:
   ros__parameters:
 """
@@ -43,7 +43,8 @@ def documented_settings() -> str:
                                width=1000).split('\n')[0]
         unit = f' [{about["unit"]}]' if about['unit'] else ''
         choices = f' ({", ".join(about["choices"])})' if about['choices'] else ''
-        text += f'      # {about["description"]}{choices}{unit}\n      {name.split(".")[1]}: {value}\n'
+        text += f'      # {about["description"]}{choices}{unit}\n'
+        text += f'      {name.split(".")[1]}: {value}\n'
     return text
 
 
@@ -93,8 +94,8 @@ def test_flat_and_back() -> None:
     lambda sections: {'registration': {'ros__parameters': sections}},
 ])
 def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
-    assert Config.from_nested(wrap({'gate': {'max_speed': 0.5}
-                                    })) == Config.from_flat({'gate.max_speed': 0.5})
+    nested = wrap({'gate': {'max_speed': 0.5}})
+    assert Config.from_nested(nested) == Config.from_flat({'gate.max_speed': 0.5})
 
 
 @pytest.mark.parametrize(('values', 'sentence'), [
@@ -116,8 +117,8 @@ def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
     ({'targets.positions': ['0', '0', '0']}, 'targets.positions must be a list of float'),
     ({'targets.positions': [None, 0.0, 0.0]}, 'targets.positions must be a list of float'),
     ({'targets.positions': [True, 0.0, 0.0]}, 'targets.positions must be a list of float'),
-    ({'targets.names': ['a'], 'targets.positions': [float('nan'), 0.0, 0.0]
-      }, 'must be a list of float'),
+    ({'targets.names': ['a'], 'targets.positions': [float('nan'), 0.0, 0.0]},
+     'must be a list of float'),
     ({'landmarks.names': ['a']}, 'landmarks.positions holds 0 numbers for 1 names'),
     ({'targets.positions': [0.0, 0.0]}, 'targets.positions holds 2 numbers for 0 names'),
 ])

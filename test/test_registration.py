@@ -38,7 +38,8 @@ def refused(result: RegistrationResult, *reasons: Reason) -> str:
     """Check that the result is a refusal in good form, and return its sentence."""
     assert result.reason in reasons, result.message
     assert not result.success
-    assert result.T_tracker_bone is None and result.T_bone_tracker is None and result.covariance is None
+    assert result.T_tracker_bone is None and result.T_bone_tracker is None
+    assert result.covariance is None
     assert re.fullmatch(r'\S[^\n]{20,300}', result.message)
     return result.message
 
@@ -73,7 +74,8 @@ def test_landmarks_give_the_pose_with_all_that_is_known_of_it() -> None:
     assert 0.0 < result.predicted_tre_m['rms'] < result.predicted_tre_m['max'] < 2e-3
     np.testing.assert_allclose(result.covariance, result.covariance.T, atol=0.0)
     assert (np.linalg.eigvalsh(result.covariance) > 0.0).all()
-    assert result.weakest_direction is not None and result.weakest_direction.sentence in result.message
+    assert result.weakest_direction is not None
+    assert result.weakest_direction.sentence in result.message
     assert len(result.history) == result.iterations > 0
     assert result.residuals_m.shape == result.weights.shape == (400,)
     assert ((result.weights >= 0.0) & (result.weights <= 1.0)).all()

@@ -28,8 +28,10 @@ PATIENCE = 60.0         # s for a peer; what it has not done by then is extrapol
 BATCH = 20_000          # nodes asked of a peer at a time, drawn from everywhere
 TESTED = 50_000         # points at which the error is taken
 BAND = 3.0              # voxels
-PEAK = ('import sys; from gsdf_registration.cli.main import main; status = main(sys.argv[1:]); print('
-        '*(s.split()[1] for s in open("/proc/self/status") if s.startswith("VmHWM"))); sys.exit(status)')
+PEAK = (
+    'import sys; from gsdf_registration.cli.main import main; status = main(sys.argv[1:]); print('
+    '*(s.split()[1] for s in open("/proc/self/status") if s.startswith("VmHWM"))); sys.exit(status)'
+)
 
 # points (n, 3) -> signed distances (n,)
 Peer = Callable[['Array'], 'Array']
@@ -38,31 +40,42 @@ Peer = Callable[['Array'], 'Array']
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'field', help='time the build of fields beside libigl and Open3D',
-        description='Time repairing a bone and building its field, warm, beside the signed distances of '
+        'field',
+        help='time the build of fields beside libigl and Open3D',
+        description=
+        'Time repairing a bone and building its field, warm, beside the signed distances of '
         'libigl and Open3D at the same nodes; take the error against exact distances, memory, disk, loading.',
         **example('gsdf bench field --bones ~/bones'))
-    parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
-                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, else '
-                        'those that come along)')
+    parser.add_argument(
+        '--bones',
+        metavar='DIR',
+        default=os.environ.get('GSDF_BONES_DIR'),
+        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, else '
+        'those that come along)')
     parser.add_argument('--voxel', type=float, default=1.0, metavar='MM',
                         help='spacing of the samples near the surface, mm (default: 1)')
-    parser.add_argument('--faces', type=int, default=0, metavar='N',
-                        help='bring every mesh to about N faces first, by Open3D (default: as it is)')
+    parser.add_argument(
+        '--faces',
+        type=int,
+        default=0,
+        metavar='N',
+        help='bring every mesh to about N faces first, by Open3D (default: as it is)')
     parser.add_argument('--no-peers', action='store_true', help='leave out libigl and Open3D')
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print a table."""
-    print(f'voxel {args.voxel:g} mm, {os.cpu_count()} cores, median of {REPEATS} warm runs\n'
-          f'bone: repair; field: build; libigl, Open3D: signed distances at the same nodes, and their time '
-          'over that of field\n(~: extrapolated from a random part)\n'
-          f'rms, max: error of the distance at {TESTED} random points within {BAND:g} voxels of the surface\n'
-          'peak: memory of `gsdf build`; half: cost at half the voxel over that at the whole\n')
-    print(f'{"bone":<18}{"faces":>8}{"bone ms":>9}{"field ms":>9}{"nodes k":>9}{"libigl":>12}{"Open3D":>12}'
-          f'{"rms um":>8}{"max um":>8}{"MB":>7}{"disk MB":>9}{"load ms":>9}{"peak MB":>9}{"half: s":>9}'
-          f'{"MB":>6}')
+    print(
+        f'voxel {args.voxel:g} mm, {os.cpu_count()} cores, median of {REPEATS} warm runs\n'
+        f'bone: repair; field: build; libigl, Open3D: signed distances at the same nodes, and their time '
+        'over that of field\n(~: extrapolated from a random part)\n'
+        f'rms, max: error of the distance at {TESTED} random points within {BAND:g} voxels of the surface\n'
+        'peak: memory of `gsdf build`; half: cost at half the voxel over that at the whole\n')
+    print(
+        f'{"bone":<18}{"faces":>8}{"bone ms":>9}{"field ms":>9}{"nodes k":>9}{"libigl":>12}{"Open3D":>12}'
+        f'{"rms um":>8}{"max um":>8}{"MB":>7}{"disk MB":>9}{"load ms":>9}{"peak MB":>9}{"half: s":>9}'
+        f'{"MB":>6}')
     for file in bones(args.bones):
         measure(file, 1e-3 * args.voxel, args.faces, not args.no_peers)
     return 0
@@ -85,7 +98,9 @@ def measure(file: Path, voxel: float, faces: int, peers: bool) -> None:
     field_s = median_time(lambda: build_field(bone, voxel))
     nodes = node_positions(field)
     count = 0 if bone.faces is None else len(bone.faces)
-    show(f'{file.stem:<18}{count:>8}{1e3 * bone_s:>9.0f}{1e3 * field_s:>9.0f}{1e-3 * len(nodes):>9.0f}')
+    show(
+        f'{file.stem:<18}{count:>8}{1e3 * bone_s:>9.0f}{1e3 * field_s:>9.0f}{1e-3 * len(nodes):>9.0f}'
+    )
     for prepare in (igl_distances, open3d_distances):
         show(f'{beside(prepare, bone, nodes, field_s) if peers else "-":>12}')
     error = errors(bone, field)
@@ -94,7 +109,9 @@ def measure(file: Path, voxel: float, faces: int, peers: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'bone.gsdf'
         save_field(field, path)
-        show(f'{1e-6 * path.stat().st_size:>9.1f}{1e3 * median_time(lambda: load_field(path)):>9.0f}')
+        show(
+            f'{1e-6 * path.stat().st_size:>9.1f}{1e3 * median_time(lambda: load_field(path)):>9.0f}'
+        )
         show(f'{peak_megabytes(file, voxel, folder):>9.0f}')
     half = build_field(bone, 0.5 * voxel)
     half_s = median_time(lambda: build_field(bone, 0.5 * voxel), 3)
@@ -166,7 +183,9 @@ def open3d_distances(bone: Bone) -> Peer:
 
 
 def errors(bone: Bone, field: Field) -> Array:
-    """Return errors of the distance, m, at random points in the band, against exact ones by libigl."""
+    """
+    Return errors of the distance, m, at random points in the band, against exact ones by libigl.
+    """
     import igl
     import numpy as np
     a = field.arrays
@@ -183,7 +202,9 @@ def errors(bone: Bone, field: Field) -> Array:
 
 
 def peak_megabytes(file: Path, voxel: float, cache: str) -> float:
-    """Return the most memory a process of its own takes to read, repair, build and keep a bone, MB."""
+    """
+    Return the most memory a process of its own takes to read, repair, build and keep a bone, MB.
+    """
     command = [sys.executable, '-c', PEAK, 'build', str(file), '--voxel', str(1e3 * voxel)]
     done = subprocess.run(command, env={**os.environ, 'GSDF_CACHE_DIR': cache}, check=True,
                           capture_output=True, text=True)

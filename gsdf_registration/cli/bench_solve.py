@@ -48,7 +48,8 @@ def add_parser(subparsers: Any) -> None:
         help='time the solver beside small_gicp and Open3D',
         description=
         'Time the local solver from three landmarks that are 4 mm off, beside the point-to-plane '
-        'ICPs of small_gicp and Open3D; one thread each, model and search trees prepared beforehand.',
+        'ICPs of small_gicp and Open3D; one thread each, model and search trees prepared '
+        'beforehand.',
         **example('gsdf bench solve --bones ~/bones'))
     parser.add_argument(
         '--bones',
@@ -77,8 +78,8 @@ def run(args: argparse.Namespace) -> int:
         f'{args.points} points within {1e3 * EXPOSED:.0f} mm, noise {1e3 * NOISE:.1f} mm, '
         f'landmarks {1e3 * LANDMARK_ERROR:.0f} mm off, {args.solves} problems a bone; one thread\n')
     print(
-        f'{"bone":<20}{"method":<30}{"median ms":>10}{"p95 ms":>10}{"iterations":>12}{"TRE rms mm":>12}'
-    )
+        f'{"bone":<20}{"method":<30}{"median ms":>10}{"p95 ms":>10}{"iterations":>12}'
+        f'{"TRE rms mm":>12}')
     for file in bones(args.bones):
         measure(file.stem, load_model(str(file)), args.points, args.solves, args.seed)
     return 0
@@ -164,7 +165,7 @@ def best_patch(surface: Array, normals: Array, seed: int) -> np.ndarray:
 
 def drawn(surface: Array, near: np.ndarray, n: int,
           rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return a true pose, touched points (n, 3) in the tracker frame, and the guess from three landmarks."""
+    """Return a pose, touched points (n, 3), tracker frame, and a guess from three landmarks."""
     import numpy as np
 
     from gsdf_registration import rigid
@@ -180,9 +181,7 @@ def drawn(surface: Array, near: np.ndarray, n: int,
 
 
 def landmark_places(surface: Array, centre: Array) -> Array:
-    """
-    Return three points (3, 3) of the surface within reach, far from one another and from one line.
-    """
+    """Return three surface points (3, 3) within reach, far from one another and from one line."""
     import numpy as np
 
     within = surface[np.linalg.norm(surface - centre, axis=1) < LANDMARKS_WITHIN]
@@ -230,9 +229,7 @@ def small_gicp(surface: Array, normals: Array) -> Aligner:
 
 
 def open3d(surface: Array, normals: Array) -> Aligner:
-    """
-    Return Open3D's point-to-plane ICP; the tree it builds at every call is timed and taken off.
-    """
+    """Return Open3D's point-to-plane ICP; the tree built at every call is timed and taken off."""
     import numpy as np
     import open3d as o3d
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)

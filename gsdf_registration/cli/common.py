@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-What the subcommands share: options, and reading what they name; heavy modules are imported in use.
-"""
+"""What the subcommands share: options, and reading what they name; heavy imports come in use."""
 
 from __future__ import annotations
 
@@ -83,8 +81,7 @@ def effective_config(args: argparse.Namespace) -> Config:
 
 def field_or_refusal(config: Config) -> Field | Refusal:
     """
-    Return the bone of the settings, or that its size is not a bone's, which is an answer and no
-    error.
+    Return the bone of the settings, or that its size is not a bone's: an answer, no error.
 
     Raises
     ------
@@ -124,7 +121,7 @@ def read_initial(path: str | None) -> Array | None:
 
 
 def read_landmark_pairs(path: str | None, model_unit: str, unit: str) -> LandmarkPairs | None:
-    """Return model and tracker positions, m, of a landmark CSV in these units, or of a ground truth YAML."""
+    """Return model and tracker positions, m, of a landmark CSV in these units or a truth YAML."""
     if path is None:
         return None
     from msg_adapters.points import read_landmarks
@@ -137,9 +134,7 @@ def read_landmark_pairs(path: str | None, model_unit: str, unit: str) -> Landmar
 
 
 def sha256_of(path: str) -> str:
-    """
-    Return the SHA-256 of a file, or of all files of a bag directory in the order of their names.
-    """
+    """Return the SHA-256 of a file, or of all files of a bag directory in order of their names."""
     root = Path(path)
     digest = hashlib.sha256()
     for file in sorted(p for p in root.iterdir() if p.is_file()) if root.is_dir() else [root]:

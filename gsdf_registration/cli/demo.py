@@ -39,7 +39,8 @@ def add_parser(subparsers: Any) -> None:
         help='see a bone found: a ROS 2 node, a recorded tracker, an operator',
         description=
         'Start the registration node on a ROS domain of its own, play a recorded run of an '
-        'optical tracker into it, touch its landmarks, register, and compare the pose with the truth.',
+        'optical tracker into it, touch its landmarks, register, and compare the pose with the '
+        'truth.',
         **common.example('gsdf demo'))
     parser.add_argument('--report', metavar='OUT.html', help='where the page to read and look at '
                         f'goes (default: {REPORT}, if the extra "report" is installed)')
@@ -69,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
         with running(node_command(truth_file.parent / truth.model, truth), 'the node') as node, \
                 Operator(patience=STARTUP, alive=lambda: node.poll() is None) as operator:
             await_ready(operator)
-            say(f'the node is active, its bone is {truth.model}; playing {bag.name}, {RATE:g} times as fast'
-                )
+            say(f'the node is active, its bone is {truth.model}; '
+                f'playing {bag.name}, {RATE:g} times as fast')
             touch_landmarks(operator, bag, truth, say)
             drag(operator, bag, say)
             answer = operator.ask('register')

@@ -16,8 +16,8 @@ def add_parser(subparsers: Any) -> None:
         help='convert NDI tracker CSV to a bag',
         description=
         'Convert recordings of NDI Track (CSV, mm) to one rosbag2 recording (mcap, PointStamped, '
-        'metres); several are merged in the order of their times.  Samples whose State is not OK are left '
-        'out, and so is the Error column, for which PointStamped has no room.',
+        'metres); several are merged in the order of their times.  Samples whose State is not OK '
+        'are left out, and so is the Error column, for which PointStamped has no room.',
         **example('gsdf import-ndi hip.csv -o hip_run\n  gsdf replay hip_run --model hip.stl'))
     parser.add_argument('csv', nargs='+', metavar='CSV', help='file written by NDI Track')
     parser.add_argument('-o', '--output', required=True, metavar='BAG',

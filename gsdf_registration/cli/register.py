@@ -77,8 +77,7 @@ def run(args: argparse.Namespace) -> int:
 def registered(recording: Recording, field: Field, config: Config, landmarks: LandmarkPairs | None,
                T_tracker_bone: Array | None) -> tuple[RegistrationResult, Array, dict[str, int]]:
     """
-    Register the points of a file: with stamps as the node would have done, without them as they
-    are.
+    Register the points of a file: with stamps as the node would have, without them as they are.
 
     Also return the points the result speaks of, and how many were not believed, by cause.
     """

@@ -31,7 +31,8 @@ def add_parser(subparsers: Any) -> None:
         help='register recordings (rosbag2) offline',
         description=
         'Put each recording through the same session as the ROS node does, without ROS, and '
-        'register. Where the ground truth lies beside a bag (YAML of the same name), the true error is told.',
+        'register. Where the ground truth lies beside a bag (YAML of the same name), the true '
+        'error is told.',
         **common.example('gsdf replay bags/hip_optical --model bags/hip.ply '
                          '--landmarks bags/hip_optical.yaml'))
     parser.add_argument('bags',

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-A result as JSON, "gsdf-registration/1": every key always there, null where nothing is known; SI.
-"""
+"""A result as JSON, "gsdf-registration/1": every key is there, null where nothing is known; SI."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-`gsdf simulate`: a probe dragged over a bone, recorded as a bag with its ground truth beside it.
-"""
+"""`gsdf simulate`: a probe dragged over a bone, recorded as a bag with its truth beside it."""
 
 from __future__ import annotations
 
@@ -136,8 +134,9 @@ def run(args: argparse.Namespace) -> int:
               places.round(7),
               means.reshape(-1, 3).round(7), about))
     print(
-        f'{args.output}: {len(run_.stamps)} points in {run_.stamps[-1]:.1f} s, {int(run_.on_bone.sum())} '
-        f'of them on the bone, {len(names)} landmarks; truth in {truth_path(args.output)}')
+        f'{args.output}: {len(run_.stamps)} points in {run_.stamps[-1]:.1f} s, '
+        f'{int(run_.on_bone.sum())} of them on the bone, {len(names)} landmarks; '
+        f'truth in {truth_path(args.output)}')
     return 0
 
 

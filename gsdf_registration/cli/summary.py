@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-A result in a few readable lines; the residual is not among them, because it is not the accuracy.
-"""
+"""A result in a few readable lines; the residual is not among them: it is not the accuracy."""
 
 from __future__ import annotations
 

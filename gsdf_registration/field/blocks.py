@@ -34,8 +34,7 @@ def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest)
     nearest : (n, 2, 2, 2) int32, filled with the triangles nearest to the corners
 
     """
-    # what passes into the inner loops are plain arrays: those of a tuple are counted in and out
-    # every time
+    # plain arrays pass into the inner loops: those of a tuple are counted in and out every time
     triangle, axes, normal = tree.triangle, tree.axes, tree.normal
     room = len(triangle)
     candidate = np.empty(room, np.int32)
@@ -64,7 +63,7 @@ def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest)
 
 @compiled
 def copy_far_sides(block_of, cells, first, last, blocks):
-    """Copy the far nodes of some blocks (n, NODES, NODES, NODES, 4) from the ones that have filled them."""
+    """Copy the far nodes of some blocks (n, NODES, NODES, NODES, 4) from those that filled them."""
     for b in range(first, last):
         for g in range(len(GROUPS)):
             if GROUPS[g, 3:].max() == CELLS:

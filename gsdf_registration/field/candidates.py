@@ -48,7 +48,8 @@ def gather(tree, centre, radius, candidate, ball, corner):
     their bounding balls; ``corner`` (room, 3) float32, corner a in the axes of the triangle; all
     from ``centre``.
     """
-    box, start, triangle, tree_ball, axes = tree.box, tree.start, tree.triangle, tree.ball, tree.axes
+    box, start, triangle = tree.box, tree.start, tree.triangle
+    tree_ball, axes = tree.ball, tree.axes
     leaves = len(start) - 1
     stack = np.empty(64, np.int64)
     stack[0] = 1

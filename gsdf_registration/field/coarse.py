@@ -14,8 +14,7 @@ from gsdf_registration.field.triangles import distance2, write_sample
 @compiled
 def mark_cells(tree, origin, edge, reach, first, last, distance):
     """
-    Find the cells of layers ``first`` to before ``last`` whose centre is within ``reach`` of a
-    triangle.
+    Find the cells of layers ``first`` to before ``last``, centre within ``reach`` of a triangle.
 
     ``distance`` (bx, by, bz) float64, inf at first, is lowered to that of the centre.
     """
@@ -82,9 +81,7 @@ def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
 
 @compiled
 def fill_coarse(tree, origin, edge, nearest, first, last, coarse):
-    """
-    Fill layers of ``coarse`` (nx ny nz, 4) float32 from the triangles in ``nearest`` (nx, ny, nz).
-    """
+    """Fill layers of ``coarse`` (nx ny nz, 4) float32 from triangles ``nearest`` (nx, ny, nz)."""
     triangle, normal = tree.triangle, tree.normal
     _, ny, nz = nearest.shape
     for i in range(first, last):

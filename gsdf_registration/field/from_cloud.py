@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The nodes and the surface sample of a point cloud with normals: every point stands for a small disc.
-"""
+"""The nodes and surface sample of a point cloud with normals: every point stands for a disc."""
 
 from __future__ import annotations
 
@@ -65,7 +63,7 @@ class Discs:
         self._radii = self._tree.query(points, k=[min(7, len(points))], workers=threads)[0][:, 0]
 
     def sample(self, x: Array) -> np.ndarray:
-        """Return distance and gradient (..., 4) float32 at ``x`` (..., 3), to the nearest point's disc."""
+        """Return distance and gradient (..., 4) float32 at ``x`` (..., 3), to the nearest disc."""
         _, nearest = self._tree.query(x, workers=self._threads)
         offset = x - self._tree.data[nearest]
         normal = self._normals[nearest]

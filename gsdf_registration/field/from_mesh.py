@@ -57,9 +57,9 @@ def fill_from_mesh(grid: Grid, vertices: Array, faces: np.ndarray,
         # Spread what their corners know over the coarse grid
         known, distance2s = _known_at_corners(nodes, nearest)
         for axis in ROUNDS * (0, 1, 2):
-            # type: ignore[misc]
-            share(known.shape[(axis + 1) % 3], LAYERS, lambda i, j, axis=axis: spread(
-                tree, grid.origin, grid.edge, axis, i, j, known, distance2s))
+            share(known.shape[(axis + 1) % 3], LAYERS,
+                  lambda i, j, axis=axis: spread(  # type: ignore[misc]
+                      tree, grid.origin, grid.edge, axis, i, j, known, distance2s))
         share(
             len(known), LAYERS, lambda i, j: fill_coarse(tree, grid.origin, grid.edge, known, i, j,
                                                          nodes.coarse.reshape(-1, 4)))
@@ -67,7 +67,7 @@ def fill_from_mesh(grid: Grid, vertices: Array, faces: np.ndarray,
 
 
 def _known_at_corners(nodes: Nodes, nearest: np.ndarray) -> tuple[np.ndarray, Array]:
-    """Return the nearest triangle of every coarse node and its squared distance, as far as blocks know."""
+    """Return each coarse node's nearest triangle and its squared distance, as blocks know them."""
     shape = nodes.coarse.shape[:3]
     known = np.full(shape, -1, dtype=np.int32)
     distance2s = np.full(shape, np.inf)

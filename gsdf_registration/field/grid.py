@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Where the nodes of a field are: a coarse grid round the surface, and which of its cells are divided.
-"""
+"""Where the nodes of a field are: a coarse grid round the surface, some of its cells divided."""
 
 from __future__ import annotations
 
@@ -75,7 +73,7 @@ class Grid:
         return (BAND + 0.5 * math.sqrt(3.0) * CELLS) * self.voxel
 
     def allocate(self, distance: Array) -> Nodes:
-        """Return room for the nodes, given the ``distance`` of the centres of the cells to the surface."""
+        """Return room for the nodes, given the cell centres' ``distance`` to the surface."""
         divided = np.abs(distance) <= self.reach
         cells = np.argwhere(divided)
         block_of = np.full(self.shape, -1, dtype=np.int32)

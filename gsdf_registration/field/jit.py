@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import numba as nb
 
-# error_model: divisions that need not raise let arrays pass without counting references, a fifth of
-# the time
+# error_model: divisions that need not raise let arrays pass uncounted, a fifth of the time
 compiled = nb.njit(nogil=True, cache=True, error_model='numpy')
 inlined = nb.njit(nogil=True, cache=True, error_model='numpy', forceinline=True)
 vectorized = nb.njit(nogil=True, cache=True, error_model='numpy', fastmath=True)

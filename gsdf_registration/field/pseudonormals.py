@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Normals that tell inside from outside at faces, edges and corners (Baerentzen & Aanaes, TVCG 2005).
-"""
+"""Normals that tell inside from outside at faces, edges, corners (Baerentzen, Aanaes TVCG 2005)."""
 
 from __future__ import annotations
 
@@ -59,9 +57,7 @@ def _fill(vertices, faces, table):
 
 @inlined
 def _add_corners(vertices, faces, f, normal, of_vertex):
-    """
-    Set the unit normal of face ``f`` and add it to its vertices', weighted by the angles there.
-    """
+    """Set the unit normal of face ``f``; add it to its vertices', weighted by the angles there."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
@@ -89,9 +85,7 @@ def _write_unit(x, y, z, table, face, row):
 
 @compiled
 def _faces_round_vertices(faces, n):
-    """
-    Return ``around`` and ``start``: the faces round vertex v are ``around[start[v]:start[v + 1]]``.
-    """
+    """Return ``around`` and ``start``: the faces round v are ``around[start[v]:start[v + 1]]``."""
     start = np.zeros(n + 1, np.int64)
     for f in range(len(faces)):
         for c in range(3):

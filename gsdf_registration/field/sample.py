@@ -26,9 +26,11 @@ _f = np.float32
 _u = np.uint64      # unsigned indices spare the kernels the check for negative ones
 
 # A call passes the whole field by value, 30 words: inlining halves the time of a sample.
-# Products may be fused with sums (FMA), which loses no precision; order and everything else stay as
-# written.
-_options = {'nogil': True, 'cache': True, 'error_model': 'numpy', 'fastmath': {'contract'}}
+# Products may be fused with sums (FMA), which loses no precision; order and all else stay
+# as written.
+_options: dict[str, Any] = {
+    'nogil': True, 'cache': True, 'error_model': 'numpy', 'fastmath': {'contract'}
+}
 _inline = nb.njit(forceinline=True, **_options)
 
 
@@ -62,9 +64,7 @@ def _lerp(a, b, t):
 
 @_inline
 def _blend(nodes, at, stride_x, stride_y, u, v, w, step):
-    """
-    Blend the cell whose first node is row ``at``, at (u, v, w) in [0, 1]^3; ``step``: node spacing.
-    """
+    """Blend the cell with first node row ``at``, at (u, v, w) in [0, 1]^3; ``step``: spacing."""
     n000, n001, n010, n011 = at, at + _u(1), at + stride_y, at + stride_y + _u(1)
     n100, n101, n110, n111 = n000 + stride_x, n001 + stride_x, n010 + stride_x, n011 + stride_x
     d = _lerp(
@@ -118,14 +118,12 @@ def _sample_cell(field, i, j, k, u, v, w):
 
 @nb.njit(**_options)
 def _sample_outside(field, px, py, pz):
-    """
-    Sample outside the box: measure from the surface point that is nearest where the box is left.
-    """
+    """Sample outside the box: measure from the surface point nearest to where the box is left."""
     edge = CELLS * field.voxel
     bx, by, bz = field.block_of.shape
     # the last cell's far face counts as its inside
-    qx, qy, qz = min(max(px, 0.0), bx - 1e-6), min(max(py, 0.0),
-                                                   by - 1e-6), min(max(pz, 0.0), bz - 1e-6)
+    qx, qy = min(max(px, 0.0), bx - 1e-6), min(max(py, 0.0), by - 1e-6)
+    qz = min(max(pz, 0.0), bz - 1e-6)
     i, j, k = _u(qx), _u(qy), _u(qz)
     d, gx, gy, gz = _sample_cell(field, i, j, k, qx - i, qy - j, qz - k)
     rx, ry, rz = (px - qx) * edge + d * gx, (py - qy) * edge + d * gy, (pz - qz) * edge + d * gz
@@ -135,9 +133,7 @@ def _sample_outside(field, px, py, pz):
 
 @_inline
 def sample(field, x, y, z):
-    """
-    Return (distance, gx, gy, gz) of the `FieldArrays` at one point in metres, anywhere in space.
-    """
+    """Return (distance, gx, gy, gz) of the `FieldArrays` at any one point in space, in metres."""
     per_edge = 1.0 / (CELLS * field.voxel)
     px = (x - field.origin[0]) * per_edge
     py = (y - field.origin[1]) * per_edge
@@ -151,9 +147,7 @@ def sample(field, x, y, z):
 
 @_inline
 def sample_coarse(field, x, y, z):
-    """
-    Return (distance, gx, gy, gz) from the nearest coarse node alone, one fetch: for a wide search.
-    """
+    """Return (distance, gx, gy, gz) from the nearest coarse node, one fetch: for a wide search."""
     edge = CELLS * field.voxel
     bx, by, bz = field.block_of.shape
     px = (x - field.origin[0]) / edge

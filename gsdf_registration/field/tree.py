@@ -95,8 +95,7 @@ def _prepare(corners, triangle, ball, axes):
         triangle[t, 9], triangle[t, 10], triangle[t, 11] = abab, abac, acac
         triangle[t, 12], triangle[t, 13] = 1.0 / abab, 1.0 / acac
         triangle[t, 14], triangle[t, 15] = 1.0 / bcbc, 1.0 / area2
-        # the circumcentre; beyond a side, the triangle is obtuse and the middle of that side will
-        # do
+        # the circumcentre; beyond a side, the triangle is obtuse: the middle of that side
         v = 0.5 * acac * (abab - abac) / area2
         w = 0.5 * abab * (acac - abac) / area2
         if v <= 0.0:

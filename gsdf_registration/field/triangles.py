@@ -16,9 +16,7 @@ from gsdf_registration.field.jit import inlined
 
 @inlined
 def closest(tri, i, x, y, z):
-    """
-    Return (v, w, feature) of the closest point a + v ab + w ac; feature: a row of `pseudonormals`.
-    """
+    """Return (v, w, feature) of the closest point a + v ab + w ac; feature: `pseudonormals` row."""
     px = x - tri[i, 0]
     py = y - tri[i, 1]
     pz = z - tri[i, 2]
@@ -97,11 +95,10 @@ def _along(dot, inverse, length2):
 @inlined
 def write_sample(tri, normal, i, x, y, z, on_surface, out, row):
     """
-    Write signed distance and unit gradient at (x, y, z), whose nearest triangle is ``i``, to
-    ``out[row]``.
+    Write distance and unit gradient at (x, y, z), whose nearest triangle is ``i``, to out[row].
 
-    ``on_surface``: distance below which the direction to the surface is lost; the pseudonormal it
-    is then.
+    The distance is signed.  ``on_surface``: distance below which the direction to the surface is
+    lost; the pseudonormal it is then.
     """
     v, w, feature = closest(tri, i, x, y, z)
     dx, dy, dz = offset(tri, i, v, w, x, y, z)

@@ -12,14 +12,17 @@ from contextlib import contextmanager
 
 FIRST_PORT = 7410   # of the first participant in domain 0; 250 ports a domain (DDSI-RTPS 9.6.1)
 
-# Participants announce themselves often at first: to find one another takes 0.6 s at most instead
-# of 3 s.
+# Participants announce themselves often at first: to find one another takes at most 0.6 s, not 3 s
 QUICK_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <participant profile_name="quick_discovery" is_default_profile="true"><rtps><builtin><discovery_config>
-    <initialAnnouncements><count>20</count><period><nanosec>50000000</nanosec></period></initialAnnouncements>
+  <participant profile_name="quick_discovery" is_default_profile="true">
+  <rtps><builtin><discovery_config>
+    <initialAnnouncements>
+      <count>20</count><period><nanosec>50000000</nanosec></period>
+    </initialAnnouncements>
     <leaseAnnouncement><sec>0</sec><nanosec>500000000</nanosec></leaseAnnouncement>
-  </discovery_config></builtin></rtps></participant>
+  </discovery_config></builtin></rtps>
+  </participant>
 </profiles>
 """
 

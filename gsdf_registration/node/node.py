@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The lifecycle node: it takes messages to the session and brings results back, and computes nothing.
-"""
+"""The lifecycle node: takes messages to the session, brings results back, and computes nothing."""
 
 from __future__ import annotations
 
@@ -52,8 +50,7 @@ class RegistrationNode(LifecycleNode):
     """
     Node ``registration``.
 
-    All callbacks run on one executor thread; what takes long runs on a thread of its own, see
-    `Services`.
+    All callbacks run on one executor thread; what takes long runs on its own, see `Services`.
 
     Raises
     ------
@@ -86,9 +83,7 @@ class RegistrationNode(LifecycleNode):
         self.show()
 
     def finish(self, timeout: float) -> bool:
-        """
-        End the lifecycle and go off the air; False if a solve goes on after ``timeout`` seconds.
-        """
+        """End the lifecycle, go off the air; False if a solve goes on after ``timeout`` seconds."""
         self.cancelled.set()
         if not self._serving.idle(timeout):
             return False

@@ -20,8 +20,7 @@ from rclpy.parameter import Parameter
 from gsdf_registration.config import Config, default_of, settings
 from gsdf_registration.result import InputError
 
-# What rclpy and launch set on every node, and what only a node has; all others must be in
-# config.py.
+# What rclpy and launch set on every node, and what only a node has; all else is in config.py.
 FOREIGN = ('use_sim_time', 'start_type_description_service', 'autostart', 'qos_overrides')
 
 
@@ -32,8 +31,7 @@ def declare_parameters(node: Node) -> Config:
     Raises
     ------
     InputError
-        At an unknown name, a wrong type, a value out of range, or positions that do not match their
-        names.
+        At an unknown name, a wrong type, a value out of range, or positions not matching names.
 
     """
     names = {name for name, _ in settings()}

@@ -56,7 +56,8 @@ def _play(options: argparse.Namespace) -> int:
     ]
     if not messages:
         raise InputError(f'{options.bag} has no points on {options.topic}')
-    reliability = ReliabilityPolicy.BEST_EFFORT if options.best_effort else ReliabilityPolicy.RELIABLE
+    reliability = (ReliabilityPolicy.BEST_EFFORT
+                   if options.best_effort else ReliabilityPolicy.RELIABLE)
     qos = QoSProfile(depth=len(messages), reliability=reliability)
     publisher = Node('player').create_publisher(PointStamped, options.topic_out or options.topic,
                                                 qos)

@@ -26,7 +26,7 @@ from msg_adapters import ros
 
 
 class StatusPublisher:
-    """Publishes ``~/status`` (latched, when it changes) and ``/diagnostics``, in every state of the node."""
+    """Publishes ``~/status`` (latched, on change) and ``/diagnostics``, in every node state."""
 
     def __init__(self, node: LifecycleNode) -> None:
         self._node = node
@@ -52,12 +52,10 @@ class StatusPublisher:
 
 class PosePublishers:
     """
-    Publishes the registration: poses, transform, points and markers; silent unless the node is
-    active.
+    Publishes the registration: poses, transform, points, markers; silent unless active.
 
     The transform goes to /tf and is re-sent, never to /tf_static: in Jazzy a second static
-    transform of a frame is dropped without a word, so that a new registration would not be heard
-    of.
+    transform of a frame is dropped without a word, so that nobody would hear of a new registration.
     """
 
     def __init__(self, node: LifecycleNode, config: Config) -> None:

@@ -26,8 +26,7 @@ class Services:
     """
     Serves ``~/collect`` and the others on a node, in every state of its lifecycle.
 
-    They are there from the start, so that a client of a node without a bone is told so and need not
-    wait.
+    They are there from the start, so a client of a node without a bone is told and need not wait.
     """
 
     def __init__(self, node: RegistrationNode) -> None:
@@ -117,7 +116,5 @@ class Services:
         return await self._worker.run(executor, job)
 
     def idle(self, timeout: float) -> bool:
-        """
-        Take no further jobs; tell whether the one that runs has ended within ``timeout`` seconds.
-        """
+        """Take no further jobs; tell whether the running one ended within ``timeout`` seconds."""
         return self._worker.shutdown(timeout)

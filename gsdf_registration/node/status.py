@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The session's status as a diagnostic message: one sentence for the operator, numbers for programs.
-"""
+"""The session's status as a diagnostic message: one line for the operator, numbers for programs."""
 
 from __future__ import annotations
 
@@ -22,9 +20,7 @@ def pose_kept(status: Status) -> str:
 
 
 def status_message(status: Status, name: str) -> DiagnosticStatus:
-    """
-    Return ``status`` as a message; ``name`` is that of the node.  Values are SI and plain text.
-    """
+    """Return ``status`` as a message from the node ``name``.  Values are SI and plain text."""
     values: dict[str, Any] = {
         'state': status.state, 'received': status.received, 'kept': status.kept,
         'strokes': status.strokes, 'landmarks': status.landmarks, 'frame_id': status.frame_id or '',

@@ -46,8 +46,6 @@ class Worker:
         return running.result()
 
     def shutdown(self, timeout: float) -> bool:
-        """
-        Take no further jobs; tell whether the one that runs has ended within ``timeout`` seconds.
-        """
+        """Take no further jobs; tell whether the running one ended within ``timeout`` seconds."""
         self._pool.shutdown(wait=False)
         return self._job is None or not concurrent.futures.wait([self._job], timeout).not_done

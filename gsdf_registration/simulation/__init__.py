@@ -1,4 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Bones that never lived and probes nobody held: known truth for tests, benchmarks and demonstrations.
-"""
+"""Bones that never lived and probes nobody held: known truth for tests, benchmarks and demos."""

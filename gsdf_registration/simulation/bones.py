@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bones from code: implicit solids, contoured, evened out and rounded to 0.01 mm, so the same everywhere."""
+"""Bones from code: implicit solids, contoured, evened, rounded to 0.01 mm: the same everywhere."""
 
 from __future__ import annotations
 
@@ -46,18 +46,14 @@ def bone_mesh(name: str, spacing: float = 2.4) -> trimesh.Trimesh:
 
 
 def bone_landmarks(name: str, mesh: trimesh.Trimesh) -> dict[str, Array]:
-    """
-    Return the bone's landmarks by name: the vertices (3,) of ``mesh``, mm, nearest to their places.
-    """
+    """Return the bone's landmarks by name: vertices (3,) of ``mesh``, mm, nearest their places."""
     vertices = np.asarray(mesh.vertices)
     return {landmark: vertices[np.argmin(np.linalg.norm(vertices - np.array(place), axis=1))]
             for landmark, place in SHAPES[name].LANDMARKS.items()}
 
 
 def _evened(shape: ModuleType, vertices: Array, edges: np.ndarray, rounds: int = 6) -> Array:
-    """
-    Slide the vertices toward their neighbours' mean, then back onto the solid: no slivers are left.
-    """
+    """Slide the vertices toward their neighbours' mean, then back onto the solid: no slivers."""
     n = len(vertices)
     both = np.concatenate([edges, edges[:, ::-1]])
     links = sparse.coo_matrix((np.ones(len(both)), tuple(both.T)), (n, n)).tocsr()
@@ -73,7 +69,7 @@ def _evened(shape: ModuleType, vertices: Array, edges: np.ndarray, rounds: int =
 def _value_and_gradient(shape: ModuleType,
                         vertices: Array,
                         step: float = 1e-3) -> tuple[Array, Array]:
-    """Return the solid at the vertices (n,) and its slope there (n, 3), by differences over ``step`` mm."""
+    """Return the solid at the vertices (n,), its slope (n, 3) by differences over ``step`` mm."""
     shifted = np.concatenate([vertices, *(vertices + step * e for e in np.eye(3))])
     p: Points = (shifted[:, 0], shifted[:, 1], shifted[:, 2])
     value, *beside = shape.solid(p).reshape(4, -1)

@@ -87,9 +87,7 @@ def _hump(x: Array, centre: float, width: float) -> Array:
 
 
 def _columns(p: Points) -> Array:
-    """
-    Return the thick bars that meet at the acetabulum, with the brim of the pelvis, and its shell.
-    """
+    """Return the thick bars that meet at the acetabulum, with the pelvic brim, and its shell."""
     shell = ellipsoid(p, (-3.5, -1.0, 2.0), (33.0, 33.5, 33.5))
     brim = tube(p, [(-44.0, -58.0, 52.0), (-31.0, -32.0, 33.0), (-25.0, -4.0, 15.0),
                     (-36.0, 24.0, 2.0)], [10.0, 10.5, 9.0, 9.0])
@@ -103,9 +101,7 @@ def _columns(p: Points) -> Array:
 
 
 def _pubis_and_ischium(p: Points) -> Array:
-    """
-    Return the ring round the obturator foramen: pubic rami, symphysis, ischium and its tuberosity.
-    """
+    """Return the ring round the obturator foramen: pubic rami, symphysis, ischium, tuberosity."""
     superior = tube(p, [(-18.0, 19.0, -1.0), (-42.0, 35.0, -3.0), (-72.0, 44.0, -11.0)],
                     [15.0, 8.5, 9.0])
     body = ellipsoid(p, (-77.0, 40.0, -23.0), (12.0, 8.5, 21.0), (28.0, 18.0, 16.0))

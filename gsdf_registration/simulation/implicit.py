@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Implicit solids: functions of points that are negative inside, near the signed distance in
-millimetres.
+Implicit solids: functions of points, negative inside and near the signed distance in millimetres.
 
-Every function takes points as three arrays ``p = (x, y, z)`` of one shape and returns an array of
-that shape.
+Every function takes points as three arrays ``p = (x, y, z)`` of one shape and returns one such.
 """
 
 from __future__ import annotations
@@ -21,9 +19,7 @@ Points = tuple[Array, Array, Array]
 
 
 def join(a: Array, b: Array, blend: float) -> Array:
-    """
-    Return the union of two solids, their seam filled over ``blend`` mm (polynomial smooth minimum).
-    """
+    """Return the union of two solids, the seam filled over ``blend`` mm (polynomial smooth min)."""
     h = np.maximum(blend - np.abs(a - b), 0.0) / blend
     return np.minimum(a, b) - h * h * blend / 4.0
 
@@ -34,7 +30,7 @@ def carve(a: Array, b: Array, blend: float) -> Array:
 
 
 def moved(p: Points, centre: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> Points:
-    """Return the points in a frame at ``centre`` (mm) turned by the rotation vector ``turn`` (degrees)."""
+    """Return the points in a frame at ``centre`` (mm) turned by rotation vector ``turn`` (deg)."""
     R = rotation_exp(np.radians(np.asarray(turn, dtype=np.float64)))
     q = [p[i] - float(np.asarray(centre)[i]) for i in range(3)]
     x, y, z = (q[0] * R[0, i] + q[1] * R[1, i] + q[2] * R[2, i] for i in range(3))
@@ -52,9 +48,7 @@ def ellipsoid(p: Points, centre: ArrayLike, radii: ArrayLike,
 
 
 def tube(p: Points, path: ArrayLike, radii: Sequence[float], pieces: int = 4) -> Array:
-    """
-    Return a bent, tapered tube: spheres of ``radii`` swept along a curve through ``path`` (n, 3).
-    """
+    """Return a bent, tapered tube: spheres of ``radii`` along a curve through ``path`` (n, 3)."""
     path = np.asarray(path, dtype=np.float64)
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     s = np.unique(np.concatenate([np.linspace(a, b, pieces + 1) for a, b in zip(knots, knots[1:])]))

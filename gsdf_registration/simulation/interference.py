@@ -64,9 +64,7 @@ NONE = Interference()
 
 
 class Samples(NamedTuple):
-    """
-    Samples in order: tips (n, 3) m, kinds (n,), strokes (n,), ticks (n,) since the sample before.
-    """
+    """Samples in order: tips (n, 3) m, kinds (n,), strokes (n,), ticks (n,) since the last one."""
 
     tips: Array
     kinds: NDArray[np.uint8]
@@ -77,11 +75,9 @@ class Samples(NamedTuple):
 @dataclass(eq=False)
 class Run:
     """
-    Consecutive samples: tips (n, 3) m, kinds (n,), ticks (n,) since the sample before, normals (n,
-    3).
+    Consecutive samples: tips (n, 3) m, kinds (n,), ticks (n,) since the last, normals (n, 3).
 
-    A tick is a period of the tracker.  ``linked``: it belongs to the stroke before and follows at
-    once.
+    A tick is a period of the tracker.  ``linked``: belongs to the stroke before, follows at once.
     """
 
     tips: Array
@@ -122,9 +118,7 @@ def disturbed(strokes: list[Run], patch: Patch, counts: dict[Kind, int], rng: np
 
 
 def _lift_on_tissue(strokes: list[Run], count: int, rng: np.random.Generator) -> None:
-    """
-    Put soft tissue on a few places of the bone: the ``count`` samples nearest to them ride over it.
-    """
+    """Put soft tissue on a few places of the bone: the ``count`` samples nearest ride over it."""
     if count == 0:
         return
     tips = np.concatenate([run.tips for run in strokes])
@@ -169,9 +163,7 @@ def _other_strokes(patch: Patch, count: int, step: float, rng: np.random.Generat
 
 
 def _resting_strokes(patch: Patch, count: int, rng: np.random.Generator) -> list[Run]:
-    """
-    Return ``count`` samples of a tip that stays where it is, at one or two places on the bone.
-    """
+    """Return ``count`` samples of a tip that stays put, at one or two places on the bone."""
     if count == 0:
         return []
     places, _ = patch.random_points(2, rng)

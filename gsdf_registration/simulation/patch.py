@@ -57,8 +57,9 @@ class Patch:
 def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radius: float,
                   approach: ArrayLike | None = None) -> Patch:
     """
-    Return what a probe can reach: in a ball, facing the wound, connected to what is nearest to
-    ``centre``.
+    Return what a probe can reach.
+
+    It is in a ball, faces the wound and is connected to what is nearest to ``centre``.
 
     Parameters
     ----------
@@ -95,9 +96,7 @@ def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radi
 
 
 def whole_surface(vertices: Array, faces: NDArray[np.int64]) -> Patch:
-    """
-    Return all of a closed surface (vertices m, outward faces) as a patch, approached from above.
-    """
+    """Return a whole closed surface (vertices m, outward faces) as a patch, seen from above."""
     corners = vertices[faces]
     normals, areas = _normals_and_areas(corners)
     return Patch(corners, normals, _neighbours(faces), areas, np.array([0.0, 0.0, 1.0]),
@@ -221,8 +220,7 @@ def _step(corners: Array, normals: Array, neighbours: NDArray[np.int32], p: Arra
         if to < 0:
             d = _unit(d - 2.0 * np.dot(d, out) * out)
         else:
-            # unfold the next triangle about the edge: the part along it stays, the part across goes
-            # on inward
+            # unfold the next triangle about the edge: the part along stays, that across goes inward
             d = _unit(np.dot(d, along) * along + np.dot(d, out) * _cross(along, normals[to]))
             f = to
     return p, d, f

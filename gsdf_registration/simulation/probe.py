@@ -149,9 +149,7 @@ def rest(places: ArrayLike,
 
 
 def measured(positions: Array, tracker: Tracker, rng: np.random.Generator) -> Array:
-    """
-    Return true ``positions`` (n, 3), m, tracker frame, with the tracker's distortion and noise.
-    """
+    """Return true ``positions`` (n, 3), m, tracker frame, with its distortion and noise."""
     waves = rng.normal(0.0, 2.0 * np.pi / 0.4, (3, 3))      # 1/m: some 0.4 m long
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     bent = tracker.distortion * np.sqrt(2.0 / 3.0) * np.sin(positions @ waves.T + phases)
@@ -229,7 +227,7 @@ def _scattered(patch: Patch, count: int, rng: np.random.Generator,
 
 
 def _wander(n: int, memory: float, rng: np.random.Generator) -> Array:
-    """Return a stationary random series (n,) of unit variance that forgets itself over ``memory`` samples."""
+    """Return a stationary random series (n,), variance 1, that forgets over ``memory`` samples."""
     keep = np.exp(-1.0 / memory)
     noise = rng.normal(size=n) * np.sqrt(1.0 - keep * keep)
     noise[:1] /= np.sqrt(1.0 - keep * keep)

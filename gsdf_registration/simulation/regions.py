@@ -90,9 +90,7 @@ def _ends(mesh: trimesh.Trimesh) -> list[tuple[Array, Array]]:
 
 
 def _samples(mesh: trimesh.Trimesh, count: int = 3000) -> tuple[Array, Array]:
-    """
-    Return points (count, 3) spread over the surface and its outward normals there; always the same.
-    """
+    """Return points (count, 3) spread over the surface, outward normals there; always the same."""
     points, face = trimesh.sample.sample_surface(mesh, count, seed=0)
     return np.asarray(points), np.asarray(mesh.face_normals[face])
 

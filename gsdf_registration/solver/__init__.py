@@ -78,16 +78,13 @@ def solve(points: Array,
     if neighbours is None:
         neighbours = nearest_neighbours(points, config.neighbours)
     plain = _mixture(points, neighbours, field, T_bone_tracker, config, history)
-    # Soft tissue may have drawn that solution outward: start again from the lower envelope of the
-    # points
+    # Soft tissue may have drawn that solution outward: start again from the points' lower envelope
     lifted = _mixture(points, neighbours, field, plain.T_bone_tracker, config, history, lift=0.05)
     return max(plain, lifted, key=lambda solution: solution.score)
 
 
 def nearest_neighbours(points: Array, count: int) -> NDArray[np.int64]:
-    """
-    Return the indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first.
-    """
+    """Return indices (n, count) of the points nearest to each ``points`` (n, 3), itself first."""
     nearest = cKDTree(points).query(points, k=min(count, len(points)))[1]
     return np.ascontiguousarray(nearest.reshape(len(points), -1), dtype=np.int64)
 
@@ -128,7 +125,7 @@ def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverCon
 
 
 def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array]:
-    """Return the points about their centroid, and the rotation and the centroid in the bone frame, to be changed in place."""
+    """Return centred points, rotation and centroid in the bone frame, to be changed in place."""
     centre = points.mean(axis=0)
     return (np.ascontiguousarray(points - centre), np.array(T_bone_tracker[:3, :3]),
             rigid.transform(T_bone_tracker, centre))

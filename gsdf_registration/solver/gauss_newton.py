@@ -22,11 +22,9 @@ kernel = nb.njit(nogil=True, cache=True, error_model='numpy', fastmath={'contrac
 @kernel
 def linearize(field, points, R, t, keep, e, J):
     """
-    Fill residuals ``e`` (n,) and their derivatives ``J`` (n, 6) at the pose; skip points not in
-    ``keep``.
+    Fill residuals ``e`` (n,) and derivatives ``J`` (n, 6) at the pose; skip points not in ``keep``.
 
-    Equation 1, e_k = SDF(R p_k + t), and equations 5-6, J_k = grad SDF . [-(R p_k)^, I]: rotation
-    first.
+    Equation 1: e_k = SDF(R p_k + t); 5 and 6: J_k = grad SDF . [-(R p_k)^, I], rotation first.
     """
     for k in range(len(points)):
         if not keep[k]:
@@ -66,9 +64,9 @@ def normal_equations(J, e, w, A, b):
 @kernel
 def damp(A, cost, size2):
     """
-    Add Levenberg damping that vanishes with the cost (m^2), as in Fan and Yuan 2005; ``size2``:
-    mean square of the points, m^2.
+    Add Levenberg damping that vanishes with the cost (m^2), as in Fan and Yuan 2005.
 
+    ``size2``: mean square of the points, m^2.
     Far from the bone all gradients are nearly parallel and a bare step would go anywhere; near it
     this changes no digit that counts.
     """
@@ -80,8 +78,7 @@ def damp(A, cost, size2):
 @kernel
 def solve_cholesky(A, b, x):
     """
-    Solve A x = b by the lower triangle of ``A`` (6, 6), which it overwrites; False if A is
-    singular.
+    Solve A x = b by the lower triangle of ``A`` (6, 6), overwriting it; False if A is singular.
 
     A pivot is called zero relative to its own diagonal, so that the unit of length does not matter.
     """

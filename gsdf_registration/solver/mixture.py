@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The default method: every point is on the bone or not, and how likely it is follows from what lies
-round it.
+The default method: every point is on the bone or not; how likely follows from what lies round it.
 
 A tracker's noise is white from one sample to the next; soft tissue, another object or a wrong pose
 is not.  So the mean residual of a point and its neighbours, whose noise is small, tells bone from
@@ -65,22 +64,27 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
     size = math.sqrt((points * points).sum() / n)
     floor = 0.01 * field.voxel      # the field itself is no better
     share = 0.7
-    strict = False
+    noise = floor
+    strict = settled = False
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
         _local_means(e, neighbours, reach, mean)
-        noise = _white_noise(e, mean, K, reach, floor)
+        # Late on, what was estimated stands and steps shrink: two sides of a crease can swing for ever
+        late = iteration - len(history) // 4
+        estimating = late <= 0
+        if estimating:
+            noise = _white_noise(e, mean, K, reach, floor)
         white = noise / math.sqrt(K)
         if not strict:
             scatter = max(scatter * cooling, white)
             strict = scatter == white
         _expectation(e, mean, K, share, noise, scatter, reach, weight)
-        if strict:
+        if strict and estimating:
             share = min(max(weight.mean(), 0.2), 0.98)
             scatter = min(
                 max(math.sqrt((weight * mean * mean).sum() / max(weight.sum(), 1.0)), white),
                 max(model_error, white))
-        elif lift < 1.0:
+        elif not strict and lift < 1.0:
             for k in range(n):
                 if e[k] > 0.0:
                     weight[k] *= lift
@@ -89,23 +93,25 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
         history[iteration, 3] = (weight > 0.5).sum()
         if not solve_cholesky(A, b, dx):
             return SINGULAR, iteration, scatter, -np.inf
+        turn, shift = step_of(dx)
+        shrink = 1.0 if estimating else 0.9**late
+        dx *= shrink
         update(R, t, dx)
-        history[iteration, 1], history[iteration, 2] = step_of(dx)
-        if strict and history[iteration, 1] * size + history[iteration, 2] < tolerance:
+        history[iteration, 1], history[iteration, 2] = shrink * turn, shrink * shift
+        # a swing well within the noise is no reason to refuse; a drift is
+        step = turn * size + shift
+        settled = strict and shrink * step < tolerance and step < max(0.1 * noise, tolerance)
+        if settled:
             break
     linearize(field, points, R, t, keep, e, J)
     _local_means(e, neighbours, reach, mean)
-    likelihood = _expectation(e, mean, K, share, _white_noise(e, mean, K, reach, floor), scatter,
-                              reach, weight)
-    settled = history[iteration, 1] * size + history[iteration, 2] < tolerance
+    likelihood = _expectation(e, mean, K, share, noise, scatter, reach, weight)
     return SETTLED if settled else EXHAUSTED, iteration + 1, scatter, likelihood
 
 
 @kernel
 def _local_means(e, neighbours, reach, mean):
-    """
-    Fill ``mean`` (n,) with the mean residual of each point's neighbours, those far off left out.
-    """
+    """Fill ``mean`` (n,) with the mean residual of each point's neighbours, far ones left out."""
     n, K = neighbours.shape
     for k in range(n):
         total = 0.0
@@ -120,7 +126,7 @@ def _local_means(e, neighbours, reach, mean):
 
 @kernel
 def _white_noise(e, mean, K, reach, floor):
-    """Return the standard deviation of the noise from the differences to the local means, which a wrong pose hardly changes."""
+    """Return the noise (SD) by differences to the local means, which a wrong pose hardly moves."""
     difference = np.empty(len(e))
     count = 0
     for k in range(len(e)):
@@ -135,10 +141,9 @@ def _white_noise(e, mean, K, reach, floor):
 @kernel
 def _expectation(e, mean, K, share, noise, scatter, reach, weight):
     """
-    Fill ``weight`` with the probability that each point is on the bone; return the log-likelihood
-    of the local means.
+    Fill ``weight`` with the probability that each point is on the bone; return log-likelihood.
 
-    The means of neighbours overlap K-fold, so each counts 1/K.
+    It is that of the local means, which overlap K-fold among neighbours, so each counts 1/K.
     """
     prior = math.log(share / (1.0 - share))
     likelihood = 0.0

@@ -66,8 +66,7 @@ def test_nodes_of_a_box_are_exact():
     np.testing.assert_allclose(nodes[:, 0], box_distance(x, half), atol=2e-9)
     step = 1e-5
     inner, outer = (box_distance(x + s * step * nodes[:, 1:], half) for s in (-1, 1))
-    # along the gradient the distance grows as fast as one goes; on the medial axis it falls on both
-    # sides
+    # along the gradient the distance grows as fast as one goes; on the medial axis it falls
     np.testing.assert_allclose(np.maximum(outer - nodes[:, 0], nodes[:, 0] - inner),
                                step,
                                rtol=1e-3)

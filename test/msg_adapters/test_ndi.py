@@ -17,14 +17,16 @@ EM = """Tools,LABEL,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers
 1,LABEL,132,12.100,1,,0,0,0,0,0,0,0,0
 1,LABEL,140
 """.replace('LABEL', LABEL)
-# an optical tracker: two tools, each with its markers; the second line has lost a marker of the
-# first tool
-BLOCK = 'Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,State,Tx,Ty,Tz,State,Tx,Ty,Tz'
+# an optical tracker: two tools, each with its markers; line 2 has lost a marker of the first tool
+BLOCK = ('Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,'
+         'State,Tx,Ty,Tz,State,Tx,Ty,Tz')
 OPTICAL = f"""Tools,Port 0x01: Probe,{BLOCK},Port 0x02: Array,{BLOCK}
 2,Port 0x01: Probe,5,1.5,1,OK,1,0,0,0,1,2,3,0.2,2,OK,9,9,9,OK,9,9,9,\
 Port 0x02: Array,5,1.5,1,OK,1,0,0,0,4,5,6,0.3,0
-2,Port 0x01: Probe,6,1.6,1,OK,1,0,0,0,1,2,4,0.2,1,OK,9,9,9,Port 0x02: Array,6,1.6,1,OK,1,0,0,0,4,5,7,0.3,0
-2,Port 0x01: Probe,7,1.7,1,Too Few Markers,-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,\
+2,Port 0x01: Probe,6,1.6,1,OK,1,0,0,0,1,2,4,0.2,1,OK,9,9,9,\
+Port 0x02: Array,6,1.6,1,OK,1,0,0,0,4,5,7,0.3,0
+2,Port 0x01: Probe,7,1.7,1,Too Few Markers,\
+-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,-3.697314E28,\
 -3.697314E28,-3.697314E28,0,2,OK,9,9,9,OK,9,9,9,Port 0x02: Array,7,1.7,1,OK,1,0,0,0,4,5,8,0.3,0
 1,Port 0x02: Array,8,1.8,1,OK,1,0,0,0,4,5,9,0.3,0
 """
@@ -72,7 +74,8 @@ def test_the_tool_must_be_clear(tmp_path):
 
 
 def test_a_file_without_times_has_no_stamps(tmp_path):
-    old = 'Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n1,Port 1,1,1,OK,1,0,0,0,1,2,3,0.1\n'
+    old = ('Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n'
+           '1,Port 1,1,1,OK,1,0,0,0,1,2,3,0.1\n')
     assert read_ndi(write(tmp_path / 'old.csv', old)).stamps is None
     blank = EM.replace('12.000', '').replace('12.050', '')
     assert read_ndi(write(tmp_path / 'blank.csv', blank)).stamps is None
@@ -125,7 +128,8 @@ def test_import_ndi_writes_what_was_tracked(tmp_path, capsys):
 
 
 def test_import_ndi_needs_times_and_a_free_place(tmp_path):
-    old = 'Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n1,Port 1,1,1,OK,1,0,0,0,1,2,3,0.1\n'
+    old = ('Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n'
+           '1,Port 1,1,1,OK,1,0,0,0,1,2,3,0.1\n')
     with pytest.raises(InputError, match='no Time column'):
         gsdf('import-ndi', write(tmp_path / 'old.csv', old), '-o', tmp_path / 'run')
     assert not (tmp_path / 'run').exists()

@@ -93,8 +93,7 @@ def test_jacobian_on_a_bone_is_the_derivative_too(seed: int) -> None:
     points, t = points - centre, centre.copy()
     _, J = linearized(bone_field().arrays, points, R, t)
     numeric = derivative(bone_field().arrays, points, R, t, 1e-5)
-    # lever arms are 0.04 m; a surface of triangles and voxels of 1 mm leave some per cent at single
-    # points
+    # lever arms are 0.04 m; a surface of triangles and voxels of 1 mm leave a few % at some points
     error = np.abs(J - numeric) / np.array([0.04] * 3 + [1.0] * 3)
     assert np.median(error) < 5e-3
     assert np.percentile(error, 99) < 0.1
