@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``gsdf bench field``: building fields beside libigl and Open3D, over the same nodes, in the same run."""
+"""``gsdf bench field``: building fields beside libigl and Open3D at the same nodes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ def add_parser(subparsers: Any) -> None:
         help='time the build of fields beside libigl and Open3D',
         description=
         'Time repairing a bone and building its field, warm, beside the signed distances of '
-        'libigl and Open3D at the same nodes; take the error against exact distances, memory, disk, loading.',
+        'libigl and Open3D at the same nodes; take the error against exact distances, memory, '
+        'disk, loading.',
         **example('gsdf bench field --bones ~/bones'))
     parser.add_argument(
         '--bones',
@@ -68,13 +69,17 @@ def run(args: argparse.Namespace) -> int:
     """Measure, print a table."""
     print(
         f'voxel {args.voxel:g} mm, {os.cpu_count()} cores, median of {REPEATS} warm runs\n'
-        f'bone: repair; field: build; libigl, Open3D: signed distances at the same nodes, and their time '
+        f'bone: repair; field: build; libigl, Open3D: signed distances at the same nodes, '
+        f'and their time '
         'over that of field\n(~: extrapolated from a random part)\n'
-        f'rms, max: error of the distance at {TESTED} random points within {BAND:g} voxels of the surface\n'
+        f'rms, max: error of the distance at {TESTED} random points within {BAND:g} '
+        f'voxels of the surface\n'
         'peak: memory of `gsdf build`; half: cost at half the voxel over that at the whole\n')
     print(
-        f'{"bone":<18}{"faces":>8}{"bone ms":>9}{"field ms":>9}{"nodes k":>9}{"libigl":>12}{"Open3D":>12}'
-        f'{"rms um":>8}{"max um":>8}{"MB":>7}{"disk MB":>9}{"load ms":>9}{"peak MB":>9}{"half: s":>9}'
+        f'{"bone":<18}{"faces":>8}{"bone ms":>9}{"field ms":>9}{"nodes k":>9}'
+        f'{"libigl":>12}{"Open3D":>12}'
+        f'{"rms um":>8}{"max um":>8}{"MB":>7}{"disk MB":>9}{"load ms":>9}{"peak MB":>9}'
+        f'{"half: s":>9}'
         f'{"MB":>6}')
     for file in bones(args.bones):
         measure(file, 1e-3 * args.voxel, args.faces, not args.no_peers)
@@ -99,7 +104,8 @@ def measure(file: Path, voxel: float, faces: int, peers: bool) -> None:
     nodes = node_positions(field)
     count = 0 if bone.faces is None else len(bone.faces)
     show(
-        f'{file.stem:<18}{count:>8}{1e3 * bone_s:>9.0f}{1e3 * field_s:>9.0f}{1e-3 * len(nodes):>9.0f}'
+        f'{file.stem:<18}{count:>8}{1e3 * bone_s:>9.0f}{1e3 * field_s:>9.0f}'
+        f'{1e-3 * len(nodes):>9.0f}'
     )
     for prepare in (igl_distances, open3d_distances):
         show(f'{beside(prepare, bone, nodes, field_s) if peers else "-":>12}')
@@ -183,9 +189,7 @@ def open3d_distances(bone: Bone) -> Peer:
 
 
 def errors(bone: Bone, field: Field) -> Array:
-    """
-    Return errors of the distance, m, at random points in the band, against exact ones by libigl.
-    """
+    """Return errors of the distance, m, at random points in the band, against exact ones."""
     import igl
     import numpy as np
     a = field.arrays
@@ -202,9 +206,7 @@ def errors(bone: Bone, field: Field) -> Array:
 
 
 def peak_megabytes(file: Path, voxel: float, cache: str) -> float:
-    """
-    Return the most memory a process of its own takes to read, repair, build and keep a bone, MB.
-    """
+    """Return the most memory a process takes to read, repair, build and keep a bone, MB."""
     command = [sys.executable, '-c', PEAK, 'build', str(file), '--voxel', str(1e3 * voxel)]
     done = subprocess.run(command, env={**os.environ, 'GSDF_CACHE_DIR': cache}, check=True,
                           capture_output=True, text=True)

@@ -69,7 +69,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
         _local_means(e, neighbours, reach, mean)
-        # Late on, what was estimated stands and steps shrink: two sides of a crease can swing for ever
+        # Late on, what was estimated stands and steps shrink, or a crease could be crossed for ever
         late = iteration - len(history) // 4
         estimating = late <= 0
         if estimating:
