@@ -63,32 +63,30 @@ def _lerp(a, b, t):
 
 
 @_inline
+def _face(nodes, n00, n01, n10, n11, what, s, t):
+    """Blend a column of four nodes round a face of a cell."""
+    return _lerp(_lerp(nodes[n00, what], nodes[n01, what], s),
+                 _lerp(nodes[n10, what], nodes[n11, what], s), t)
+
+
+@_inline
 def _blend(nodes, at, stride_x, stride_y, u, v, w, step):
     """Blend the cell with first node row ``at``, at (u, v, w) in [0, 1]^3; ``step``: spacing."""
     n000, n001, n010, n011 = at, at + _u(1), at + stride_y, at + stride_y + _u(1)
     n100, n101, n110, n111 = n000 + stride_x, n001 + stride_x, n010 + stride_x, n011 + stride_x
-    d = _lerp(
-        _lerp(_lerp(nodes[n000, 0], nodes[n001, 0], w), _lerp(nodes[n010, 0], nodes[n011, 0], w),
-              v),
-        _lerp(_lerp(nodes[n100, 0], nodes[n101, 0], w), _lerp(nodes[n110, 0], nodes[n111, 0], w),
-              v), u)
+    d = _lerp(_face(nodes, n000, n001, n010, n011, 0, w, v),
+              _face(nodes, n100, n101, n110, n111, 0, w, v), u)
     # each gradient component on the two faces of the cell across its own axis
-    x0 = _lerp(_lerp(nodes[n000, 1], nodes[n001, 1], w), _lerp(nodes[n010, 1], nodes[n011, 1], w),
-               v)
-    x1 = _lerp(_lerp(nodes[n100, 1], nodes[n101, 1], w), _lerp(nodes[n110, 1], nodes[n111, 1], w),
-               v)
-    y0 = _lerp(_lerp(nodes[n000, 2], nodes[n001, 2], w), _lerp(nodes[n100, 2], nodes[n101, 2], w),
-               u)
-    y1 = _lerp(_lerp(nodes[n010, 2], nodes[n011, 2], w), _lerp(nodes[n110, 2], nodes[n111, 2], w),
-               u)
-    z0 = _lerp(_lerp(nodes[n000, 3], nodes[n010, 3], v), _lerp(nodes[n100, 3], nodes[n110, 3], v),
-               u)
-    z1 = _lerp(_lerp(nodes[n001, 3], nodes[n011, 3], v), _lerp(nodes[n101, 3], nodes[n111, 3], v),
-               u)
+    x0 = _face(nodes, n000, n001, n010, n011, 1, w, v)
+    x1 = _face(nodes, n100, n101, n110, n111, 1, w, v)
+    y0 = _face(nodes, n000, n001, n100, n101, 2, w, u)
+    y1 = _face(nodes, n010, n011, n110, n111, 2, w, u)
+    z0 = _face(nodes, n000, n010, n100, n110, 3, v, u)
+    z1 = _face(nodes, n001, n011, n101, n111, 3, v, u)
     # sum_i w_i g_i . (x - x_i) / 2, with the weights of opposite faces multiplied out
     one = _f(1.0)
-    d += _f(0.5) * step * (u * (one - u) * (x0 - x1) + v * (one - v) * (y0 - y1) + w * (one - w) *
-                           (z0 - z1))
+    d += _f(0.5) * step * (u * (one - u) * (x0 - x1) + v * (one - v) * (y0 - y1)
+                           + w * (one - w) * (z0 - z1))
     gx, gy, gz = _lerp(x0, x1, u), _lerp(y0, y1, v), _lerp(z0, z1, w)
     n = math.sqrt(gx * gx + gy * gy + gz * gz)
     if n < _f(1e-6):  # on the medial axis the gradients cancel: take one side's
@@ -119,6 +117,8 @@ def _sample_cell(field, i, j, k, u, v, w):
 @nb.njit(**_options)
 def _sample_outside(field, px, py, pz):
     """Sample outside the box: measure from the surface point nearest to where the box is left."""
+    if not math.isfinite(px + py + pz):     # it has no cell: reading one would leave the array
+        return math.nan, math.nan, math.nan, math.nan
     edge = CELLS * field.voxel
     bx, by, bz = field.block_of.shape
     # the last cell's far face counts as its inside

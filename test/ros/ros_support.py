@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -134,6 +135,7 @@ class Tracker:
                 self.send(np.zeros((1, 3)), topic=topic, frame_id='tracker')
                 return self.client.status()['received'] != '0'
             self.client.spin_until(heard, f'no point comes through on {topic}')
+        self.await_taken(10)
         self.client.ask('clear')
 
     def send(self,
@@ -146,6 +148,14 @@ class Tracker:
             stamp = ros.seconds_to_stamp(self._stamp)
             self._publishers[topic].publish(ros.point_msg(position, frame_id, stamp))
             time.sleep(0.0005)      # a tracker is not faster
+
+    def await_taken(self, points: int) -> None:
+        """Wait until the node has taken that many points, even if it does not count them."""
+        for publisher in self._publishers.values():
+            assert publisher.wait_for_all_acked(Duration(seconds=10.0))
+        # its executor takes a waiting point of each topic before it answers a service
+        for _ in range(points + 1):
+            self.client.ask('undo')
 
     def touch_landmarks(self, T_moved: np.ndarray) -> None:
         """Rest at each landmark, and have it captured."""

@@ -37,6 +37,7 @@ def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
         kept = client.status(state='collecting', kept='10')['received']
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         tracker.send(tracker.positions[10:30])      # an inactive node hears them all the same
+        tracker.await_taken(20)
         assert client.change(Transition.TRANSITION_ACTIVATE)
         tracker.send(tracker.positions[30:31])
         assert client.status(kept='11')['received'] == str(int(kept) + 1)
