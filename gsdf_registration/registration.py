@@ -96,11 +96,7 @@ def _attempt(
     progress: Callable[[float], None] | None,
     history: bool,
 ) -> tuple[dict[str, Any], Refusal | None]:
-    """
-    Return what is known of the best pose round a guess (None.
-
-    Anywhere), and why it must not be used.
-    """
+    """Return what is known of the best pose round ``guess`` or anywhere, and why not to use it."""
     used = points[dense]
     started = perf_counter()
     # Where the bone may be

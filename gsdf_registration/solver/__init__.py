@@ -100,10 +100,9 @@ def _mixture(points: Array,
     centred, R, t = _about_centroid(points, T_bone_tracker)
     weight, e, J = np.zeros(len(points)), np.zeros(len(points)), np.zeros((len(points), 6))
     steps = gauss_newton.empty_history(config.max_iterations)
-    ended, rounds, _, likelihood = expectation_maximization(field.arrays, centred, R, t, neighbours,
-                                                            weight, e, J, steps, START, COOLING,
-                                                            lift, config.reach, config.model_error,
-                                                            config.tolerance)
+    ended, rounds, likelihood = expectation_maximization(
+        field.arrays, centred, R, t, neighbours, weight, e, J, steps, START, COOLING, lift,
+        config.reach, config.model_error, config.tolerance)
     return _solution(points, R, t, weight, e, J, weight, likelihood, ended, steps[:rounds], history)
 
 

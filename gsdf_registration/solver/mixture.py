@@ -52,8 +52,8 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
     reach : interference is sought this far from the bone
     tolerance : length of the last step
 
-    Returns (termination, iterations, scatter, log-likelihood); ``weight`` is the probability that a
-    point is on the bone.
+    Returns (termination, iterations, log-likelihood); ``weight`` is the probability that a point is
+    on the bone.
     """
     n, K = neighbours.shape
     keep = np.ones(n, dtype=np.bool_)
@@ -92,7 +92,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
         damp(A, history[iteration, 0], size * size)
         history[iteration, 3] = (weight > 0.5).sum()
         if not solve_cholesky(A, b, dx):
-            return SINGULAR, iteration, scatter, -np.inf
+            return SINGULAR, iteration, -np.inf
         turn, shift = step_of(dx)
         shrink = 1.0 if estimating else 0.9**late
         dx *= shrink
@@ -106,7 +106,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
     linearize(field, points, R, t, keep, e, J)
     _local_means(e, neighbours, reach, mean)
     likelihood = _expectation(e, mean, K, share, noise, scatter, reach, weight)
-    return SETTLED if settled else EXHAUSTED, iteration + 1, scatter, likelihood
+    return SETTLED if settled else EXHAUSTED, iteration + 1, likelihood
 
 
 @kernel
