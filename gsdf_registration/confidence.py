@@ -91,14 +91,15 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     The covariance of an M-estimate (Huber 1981, section 6.3), tau sigma^2 H^-1 (sum w J J^T) H^-1
     with H = sum psi' J J^T, psi = w e; for plain least squares the Cramer-Rao bound sigma^2 (J^T
     J)^-1.  tau >= 1 is how much more the residuals of neighbours vary together than white noise
-    would: the error of a model is the same over a stretch, and a hundred points there tell it no
-    better than one.
+    would, over the stretch where they do so most: the error of a model is the same over a stretch,
+    and a hundred points there tell it no better than one.
 
     Parameters
     ----------
     solution : of a solver
     points : (n, 3) float, metres, tracker frame, its points
-    neighbours : (n, k) int, the points nearest to each, over which residuals are averaged
+    neighbours : (n, k) int, the points nearest to each, nearest first, over which residuals are
+        averaged: over all, a third and a ninth of them
 
     """
     used = solution.weights > 0.0
@@ -111,14 +112,21 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
         return None
     variance = float((w * e**2).sum() / w.sum())
     psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
-    around = solution.weights[neighbours[used]]
-    mean = (around * np.nan_to_num(solution.residuals)[neighbours[used]]).sum(axis=1) / np.maximum(
-        around.sum(axis=1), 1e-9)
-    together = neighbours.shape[1] * float((w * mean**2).sum() / w.sum()) / max(variance, 1e-300)
+    widths = [max(1, neighbours.shape[1] // share) for share in (1, 3, 9)]
+    together = max(_together(solution, neighbours[used, :width], w) for width in widths)
+    together /= max(variance, 1e-300)
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
     C = max(1.0, together) * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
     centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
     return Confidence(C, centre, float(np.sqrt(variance)), together)
+
+
+def _together(solution: Solution, neighbours: NDArray[np.int64], weights: Array) -> float:
+    """Return the mean of (sum w) m^2, m the mean residual of neighbours: white noise gives s^2."""
+    around = solution.weights[neighbours]
+    count = np.maximum(around.sum(axis=1), 1e-9)
+    mean = (around * np.nan_to_num(solution.residuals)[neighbours]).sum(axis=1) / count
+    return float((weights * count * mean**2).sum() / weights.sum())
 
 
 def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str,

@@ -145,15 +145,19 @@ class LimitsConfig:
         2.0, 'residuals that vary together along the strokes this many times more than noise '
         'does are not of this bone', '', 1.0, 1000.0)
     clear_inliers: float = _setting(
-        0.82, 'with this share of the points on the bone a pattern is put down to the model', '',
+        0.93, 'with this share of the points on the bone a pattern is put down to the model', '',
         0.0, 1.0)
     max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker',
                                 'm', 1e-5, 0.1)
     min_runner_up_ratio: float = _setting(
         1.1, 'cost of the next-best pose over that of the best; nearer is ambiguous', '', 1.0,
         100.0)
-    max_predicted_tre: float = _setting(0.002, 'predicted TRE (RMS) allowed at the targets', 'm',
-                                        1e-5, 1.0)
+    max_predicted_tre: float = _setting(
+        0.002, 'predicted TRE (RMS) allowed at the targets; without any, on the bone within 100 mm '
+        'of what was touched', 'm', 1e-5, 1.0)
+    max_bone_tre: float = _setting(
+        0.002, 'predicted TRE (RMS) allowed over the whole bone, where no targets are named', 'm',
+        1e-5, 1.0)
     verification: float = _setting(0.002, 'distance at a verification point that still passes', 'm',
                                    1e-5, 0.1)
 

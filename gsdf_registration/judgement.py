@@ -100,6 +100,13 @@ def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, 
             Reason.UNDER_CONSTRAINED,
             f'an error of {length(error)} is to be expected, {length(limits.max_predicted_tre)} is '
             f'allowed; {known["weakest_direction"].sentence}; touch the bone where that would show')
+    if not config.targets.names and known['predicted_tre_m']['rms'] > limits.max_bone_tre:
+        return Refusal(
+            Reason.UNDER_CONSTRAINED,
+            f'an error of {length(known["predicted_tre_m"]["rms"])} (RMS) is to be expected over '
+            f'the whole bone, {length(limits.max_bone_tre)} is allowed; '
+            f'{known["weakest_direction"].sentence}; touch the bone farther away, or name as '
+            'targets the places where the error matters')
     ratio = choice.runner_up_ratio
     if ratio is not None and ratio < limits.min_runner_up_ratio:
         return Refusal(

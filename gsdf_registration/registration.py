@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsdf_registration import rigid
-from gsdf_registration.basins import choose
+from gsdf_registration.basins import choose, solve_all
 from gsdf_registration.confidence import assess
 from gsdf_registration.config import Config, LimitsConfig
 from gsdf_registration.density import first_of_each, on_strokes
@@ -21,7 +21,7 @@ from gsdf_registration.landmarks import pose_from_landmarks
 from gsdf_registration.result import InputError, Reason, Refusal, RegistrationResult, as_numbers
 from gsdf_registration.rigid import Array
 from gsdf_registration.search import find_basins
-from gsdf_registration.solver import nearest_neighbours, solve
+from gsdf_registration.solver import nearest_neighbours
 
 
 def register(points: ArrayLike,
@@ -105,11 +105,11 @@ def _attempt(
     found = perf_counter()
     # The best of the local solutions, and the next-best elsewhere
     starts = basins if guess is None else [guess, *basins]
-    near = nearest_neighbours(used, config.solver.neighbours)
-    choice = choose([solve(used, field, T, config.solver, history, near) for T in starts], used,
-                    field, config.solver)
+    choice = choose(solve_all(used, field, starts, config, history), used, field, config.solver)
     # How good is it, and is that good enough?
-    confidence = assess(choice.solution, used, near)
+    around = nearest_neighbours(used, field, choice.solution.T_bone_tracker,
+                                9 * config.solver.neighbours)
+    confidence = assess(choice.solution, used, around)
     known = describe(choice, confidence, dense, field, config)
     known['timing_s'] = {'search': found - started, 'solve': perf_counter() - found}
     return known, judge(known, choice, confidence, used, field, config)

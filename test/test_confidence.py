@@ -32,7 +32,8 @@ def confidence_at(points: Array, field: Field, guess: Array,
     """
     config = SolverConfig(method=method)
     solution = solve(points, field, guess, config)
-    confidence = assess(solution, points, nearest_neighbours(points, config.neighbours))
+    around = nearest_neighbours(points, field, solution.T_bone_tracker, 9 * config.neighbours)
+    confidence = assess(solution, points, around)
     assert confidence is not None
     return solution, confidence
 
@@ -168,4 +169,4 @@ def test_points_in_one_plane_claim_nothing() -> None:
     flat = solution.jacobian.copy()
     flat[:, [0, 1, 5]] = 0.0        # what turns about x or y or goes along z changes no distance
     assert assess(dataclasses.replace(solution, jacobian=flat), points,
-                  nearest_neighbours(points, 16)) is None
+                  nearest_neighbours(points, bone_field(), np.eye(4), 16)) is None

@@ -20,6 +20,7 @@ from gsdf_registration.solver.paper import algorithm_1
 
 START = 0.0015      # m, scatter of the local means at first: a fair guess is so far off
 COOLING = 0.85      # by which it falls a round
+FLATTENED = 0.75    # share of its distance to the bone that a point is moved to find neighbours
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def solve(points: Array,
           T_bone_tracker: Array,
           config: SolverConfig,
           history: bool = False,
-          neighbours: NDArray[np.int64] | None = None) -> Solution:
+          neighbours: NDArray[np.int64] | None = None,
+          scatter: float = START) -> Solution:
     """
     Return the local solution from a first guess.
 
@@ -71,21 +73,28 @@ def solve(points: Array,
     config : method and its settings
     history : whether to return every step
     neighbours : (n, k) int of the points, if known already
+    scatter : float, metres, mixture: how far the first guess may be off
 
     """
     if config.method == 'paper':
         return _paper(points, field, T_bone_tracker, config, history)
     if neighbours is None:
-        neighbours = nearest_neighbours(points, config.neighbours)
-    plain = _mixture(points, neighbours, field, T_bone_tracker, config, history)
-    # Soft tissue may have drawn that solution outward: start again from the points' lower envelope
-    lifted = _mixture(points, neighbours, field, plain.T_bone_tracker, config, history, lift=0.05)
-    return max(plain, lifted, key=lambda solution: solution.score)
+        neighbours = nearest_neighbours(points, field, T_bone_tracker, config.neighbours)
+    return _mixture(points, neighbours, field, T_bone_tracker, config, history, scatter)
 
 
-def nearest_neighbours(points: Array, count: int) -> NDArray[np.int64]:
-    """Return indices (n, count) of the points nearest to each ``points`` (n, 3), itself first."""
-    nearest = cKDTree(points).query(points, k=min(count, len(points)))[1]
+def nearest_neighbours(points: Array, field: Field, T_bone_tracker: Array,
+                       count: int) -> NDArray[np.int64]:
+    """
+    Return indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first.
+
+    Nearest along the bone: most of a point's distance to it is taken away first, or points would
+    be neighbours for having the same noise, and its mean over them no longer small.
+    """
+    placed = rigid.transform(T_bone_tracker, points)
+    distance, gradient = field.sample(placed)
+    flat = placed - FLATTENED * distance[:, None] * gradient
+    nearest = cKDTree(flat).query(flat, k=min(count, len(points)))[1]
     return np.ascontiguousarray(nearest.reshape(len(points), -1), dtype=np.int64)
 
 
@@ -95,15 +104,16 @@ def _mixture(points: Array,
              T_bone_tracker: Array,
              config: SolverConfig,
              history: bool,
-             lift: float = 1.0) -> Solution:
+             scatter: float) -> Solution:
     """Return the solution of `expectation_maximization`."""
     centred, R, t = _about_centroid(points, T_bone_tracker)
     weight, e, J = np.zeros(len(points)), np.zeros(len(points)), np.zeros((len(points), 6))
     steps = gauss_newton.empty_history(config.max_iterations)
     ended, rounds, likelihood = expectation_maximization(
-        field.arrays, centred, R, t, neighbours, weight, e, J, steps, START, COOLING, lift,
+        field.arrays, centred, R, t, neighbours, weight, e, J, steps, scatter, COOLING,
         config.reach, config.model_error, config.tolerance)
-    return _solution(points, R, t, weight, e, J, weight, likelihood, ended, steps[:rounds], history)
+    return _solution(points, R, t, weight, e, J, weight, likelihood, ended, steps[:rounds],
+                     history)
 
 
 def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
@@ -131,7 +141,8 @@ def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array,
 
 
 def _solution(points: Array, R: Array, t: Array, weight: Array, e: Array, J: Array,
-              curvature: Array, score: float, ended: int, steps: Array, history: bool) -> Solution:
+              curvature: Array, score: float, ended: int, steps: Array,
+              history: bool) -> Solution:
     T = rigid.orthonormalized(rigid.from_rt(R, t - R @ points.mean(axis=0)))
     return Solution(
         T, weight, e, J, curvature, score, ended == gauss_newton.SETTLED,

@@ -37,7 +37,7 @@ ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 @kernel
 def expectation_maximization(field, points, R, t, neighbours, weight, e, J, history, scatter,
-                             cooling, lift, reach, model_error, tolerance):
+                             cooling, reach, model_error, tolerance):
     """
     Run EM with one Gauss-Newton step a round, in place on ``R`` (3, 3), ``t`` (3,).
 
@@ -47,8 +47,6 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
         round until it is what white noise gives
         (graduated non-convexity: wide at first, strict in the end), then it is estimated, at most
         ``model_error``
-    lift : weight of points outside the bone while it falls; below one, the bone is lifted to the
-        lower envelope of the points
     reach : interference is sought this far from the bone
     tolerance : length of the last step
 
@@ -84,10 +82,6 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
             scatter = min(
                 max(math.sqrt((weight * mean * mean).sum() / max(weight.sum(), 1.0)), white),
                 max(model_error, white))
-        elif not strict and lift < 1.0:
-            for k in range(n):
-                if e[k] > 0.0:
-                    weight[k] *= lift
         history[iteration, 0] = normal_equations(J, e, weight, A, b)
         damp(A, history[iteration, 0], size * size)
         history[iteration, 3] = (weight > 0.5).sum()
@@ -105,7 +99,10 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
             break
     linearize(field, points, R, t, keep, e, J)
     _local_means(e, neighbours, reach, mean)
-    likelihood = _expectation(e, mean, K, share, noise, scatter, reach, weight)
+    # Of two poses the one on which more points lie exactly is right: were the model's own error
+    # allowed for, a pose half on soft tissue could explain nearly everything
+    likelihood = _expectation(e, mean, K, share, noise, noise / math.sqrt(K), reach, weight)
+    _expectation(e, mean, K, share, noise, scatter, reach, weight)
     return SETTLED if settled else EXHAUSTED, iteration + 1, likelihood
 
 
@@ -157,3 +154,12 @@ def _expectation(e, mean, K, share, noise, scatter, reach, weight):
         likelihood += max(patch, 0.0) + math.log1p(math.exp(-abs(patch))) + math.log(
             (1.0 - share) * interference)
     return likelihood / K
+
+
+@kernel
+def patch_likelihood(e, neighbours, scatter, reach):
+    """Return the log-likelihood of residuals ``e`` (n,) whose local means scatter by so much."""
+    n, K = neighbours.shape
+    mean = np.zeros(n)
+    _local_means(e, neighbours, reach, mean)
+    return _expectation(e, mean, K, 0.5, np.inf, scatter, reach, np.zeros(n))
