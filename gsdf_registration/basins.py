@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array
 from gsdf_registration.solver import Solution, nearest_neighbours, solve
 from gsdf_registration.solver.consensus import SCATTER, consensus
+from gsdf_registration.solver.mixture import patch_likelihood
 
 APART = 0.005   # m: solutions that move the points less than this apart (RMS) are one basin
 
@@ -27,28 +29,43 @@ CANDIDATES = 12     # of a round that are solved to the end
 EXPLAINED = 0.9     # share of the points: where so many fit exactly, no other pose can fit better
 
 
+class Rival(NamedTuple):
+    """
+    Another pose that was found.
+
+    T_bone_tracker : (4, 4) float, metres
+    gap : float, by how much it is less likely than the chosen one (natural logarithm)
+    cost_ratio : float, Geman and McClure's cost of the points there over that at the chosen one
+    """
+
+    T_bone_tracker: Array
+    gap: float
+    cost_ratio: float
+
+
 @dataclass(frozen=True)
 class Choice:
     """
     The best solution and what stands against it.
 
     residuals : (n,) float, metres, of all points on strokes, at the pose
-    runner_up_ratio : cost of the best solution elsewhere over the cost of this one; None if no
-        other was found
+    rivals : poses elsewhere, the most likely first
     """
 
     solution: Solution
     residuals: Array
-    runner_up_ratio: float | None
+    rivals: list[Rival]
+
+    @property
+    def runner_up_ratio(self) -> float | None:
+        """Return the least cost elsewhere over the cost here; None if no other pose was found."""
+        return min((rival.cost_ratio for rival in self.rivals), default=None)
 
 
 def choose(solutions: Sequence[Solution], points: Array, field: Field,
            config: SolverConfig) -> Choice:
     """
-    Return the solution of the highest score, and how near the others come in cost.
-
-    The cost is Geman and McClure's, sum e^2 / (e^2 + c^2) over all points with c the Cauchy scale:
-    far points count once.
+    Return the solution of the highest rank, and how near the others come.
 
     Parameters
     ----------
@@ -56,20 +73,40 @@ def choose(solutions: Sequence[Solution], points: Array, field: Field,
     points : (n, 3) float64, metres, tracker frame
 
     """
-    placed = [rigid.transform(solution.T_bone_tracker, points) for solution in solutions]
+    best = max(solutions, key=lambda solution: solution.rank)
+    placed = [rigid.transform(solution.T_bone_tracker, points) for solution in (best, *solutions)]
     residuals = [field.sample(x)[0] for x in placed]
-    cost = np.array([(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals])
-    best = int(np.argmax([solution.score for solution in solutions]))
-    elsewhere = [c for c, x in zip(cost, placed)
-                 if np.sqrt(((x - placed[best]) ** 2).sum(axis=1).mean()) > APART]
-    ratio = float(min(elsewhere) / max(cost[best], 1e-12)) if elsewhere else None
-    return Choice(solutions[best], residuals[best], ratio)
+    neighbours = nearest_neighbours(points, field, best.T_bone_tracker, config.neighbours)
+    scatter = max(_scatter(best, neighbours), 0.01 * field.voxel_size)
+    # the same yardstick for all: the likelihood of the local means, the cost that levels off
+    likelihood = [patch_likelihood(e, neighbours, scatter, config.reach) for e in residuals]
+    cost = [(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals]
+    found, rivals = [placed[0]], []
+    for k in np.argsort(likelihood, kind='stable')[::-1]:
+        if all(np.sqrt(((placed[k] - x) ** 2).sum(axis=1).mean()) > APART for x in found):
+            found.append(placed[k])
+            rivals.append(Rival(solutions[k - 1].T_bone_tracker, likelihood[0] - likelihood[k],
+                                float(cost[k] / max(cost[0], 1e-12))))
+    return Choice(best, residuals[0], rivals)
 
 
-def solve_all(points: Array, field: Field, starts: Iterable[Array], config: Config,
+def _scatter(solution: Solution, neighbours: NDArray[np.int64]) -> float:
+    """Return how far local means scatter by noise alone, or if most do not, by what is there."""
+    e = np.nan_to_num(solution.residuals)
+    mean, w = e[neighbours].mean(axis=1), solution.weights
+    white = 1.4826 * float(np.median(np.abs(e - mean))) / np.sqrt(neighbours.shape[1])
+    if solution.exact:
+        return white
+    return max(white, float(np.sqrt((w * mean**2).sum() / max(w.sum(), 1e-9))))
+
+
+def solve_all(points: Array, field: Field, starts: Sequence[Array], config: Config,
               history: bool = False) -> list[Solution]:
     """
-    Return the local solution from each start, and better ones near the best if not all points fit.
+    Return the local solution from each start, and others where not all points fit the best.
+
+    Where it may be drawn off by soft tissue, those near it that hold for a few patches; where no
+    pose fits most points exactly, those that allow for the error of model and tracker.
 
     Parameters
     ----------
@@ -86,7 +123,7 @@ def solve_all(points: Array, field: Field, starts: Iterable[Array], config: Conf
         if config.solver.method == 'paper':
             return solutions
         for _ in range(ROUNDS):
-            best = max(solutions, key=lambda solution: solution.score)
+            best = max(solutions, key=lambda solution: solution.rank)
             neighbours = nearest_neighbours(points, field, best.T_bone_tracker,
                                             config.solver.neighbours)
             if _explained(best, neighbours) > EXPLAINED:
@@ -95,8 +132,10 @@ def solve_all(points: Array, field: Field, starts: Iterable[Array], config: Conf
                               config.solver.reach, CANDIDATES)
             found = list(pool.map(partial(near, neighbours=neighbours, scatter=SCATTER), poses))
             solutions += found
-            if max(solution.score for solution in found) < best.score + 1.0:
+            if max(solution.rank for solution in found) < (best.exact, best.score + 1.0):
                 break
+        if not max(solutions, key=lambda solution: solution.rank).exact:
+            solutions += pool.map(partial(near, exact=False), starts)
     return solutions
 
 

@@ -99,7 +99,7 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     solution : of a solver
     points : (n, 3) float, metres, tracker frame, its points
     neighbours : (n, k) int, the points nearest to each, nearest first, over which residuals are
-        averaged: over all, a third and a ninth of them
+        averaged: over all and over a third of them
 
     """
     used = solution.weights > 0.0
@@ -112,13 +112,12 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
         return None
     variance = float((w * e**2).sum() / w.sum())
     psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
-    widths = [max(1, neighbours.shape[1] // share) for share in (1, 3, 9)]
-    together = max(_together(solution, neighbours[used, :width], w) for width in widths)
-    together /= max(variance, 1e-300)
+    far, near = (_together(solution, neighbours[used, :max(1, neighbours.shape[1] // share)], w) /
+                 max(variance, 1e-300) for share in (1, 3))
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
-    C = max(1.0, together) * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
+    C = max(1.0, near, far) * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
     centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
-    return Confidence(C, centre, float(np.sqrt(variance)), together)
+    return Confidence(C, centre, float(np.sqrt(variance)), near)
 
 
 def _together(solution: Solution, neighbours: NDArray[np.int64], weights: Array) -> float:
@@ -144,10 +143,10 @@ def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str,
     place = f'near {near}' if near else 'through ({:.0f}, {:.0f}, {:.0f}) mm'.format(*1e3 * point)
     if turns:
         sentence = (f'least held is a rotation about the axis {place} along {along}: '
-                    f'{np.degrees(angle):.2f} deg (one standard deviation)')
+                    f'{np.degrees(angle):.2f} deg (1 SD)')
     else:
         sentence = (f'least held is sliding along {along}: '
-                    f'{1e3 * np.linalg.norm(phi):.2f} mm (one standard deviation)')
+                    f'{1e3 * np.linalg.norm(phi):.2f} mm (1 SD)')
     return WeakestDirection(direction, point, pitch, angle, float(np.linalg.norm(phi)), sentence)
 
 

@@ -95,9 +95,9 @@ class LandmarksConfig:
 class SearchConfig:
     """The global search for a first guess."""
 
-    rotations: int = _setting(300, 'attitudes tried', '', 1, 100_000)
-    places: int = _setting(30, 'places on the bone tried for each of them', '', 1, 10_000)
-    parts: int = _setting(3, 'parts of the points that are also tried alone', '', 0, 100)
+    rotations: int = _setting(200, 'attitudes tried', '', 1, 100_000)
+    places: int = _setting(100, 'places on the bone tried for each of them', '', 1, 10_000)
+    parts: int = _setting(12, 'parts of the points that are also tried alone', '', 0, 100)
     reach: float = _setting(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
     radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm',
                              1e-4, 0.1)
@@ -120,9 +120,9 @@ class SolverConfig:
                                '', 2, 1000)
     reach: float = _setting(0.006, 'mixture: interference is reckoned with this far from the bone',
                             'm', 1e-4, 0.1)
-    model_error: float = _setting(0.0003, 'mixture: how far the model may be off over a stretch',
+    model_error: float = _setting(0.0006, 'mixture: how far the model may be off over a stretch',
                                   'm', 0.0, 0.01)
-    tolerance: float = _setting(1e-6, 'mixture: a shorter step is the last', 'm', 1e-15, 1e-3)
+    tolerance: float = _setting(1e-6, 'mixture: a shorter step is not taken any more', 'm', 1e-15, 1e-3)
     cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
                                    1e-5, 0.1)
     discard_below: float = _setting(
@@ -142,21 +142,21 @@ class LimitsConfig:
     min_inliers: float = _setting(0.5, 'share of the points on strokes that must lie on the bone',
                                   '', 0.0, 1.0)
     max_pattern: float = _setting(
-        2.0, 'residuals that vary together along the strokes this many times more than noise '
+        1.8, 'residuals that vary together along the strokes this many times more than noise '
         'does are not of this bone', '', 1.0, 1000.0)
     clear_inliers: float = _setting(
-        0.93, 'with this share of the points on the bone a pattern is put down to the model', '',
+        0.96, 'with this share of the points on the bone a pattern is put down to the model', '',
         0.0, 1.0)
     max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker',
                                 'm', 1e-5, 0.1)
-    min_runner_up_ratio: float = _setting(
-        1.1, 'cost of the next-best pose over that of the best; nearer is ambiguous', '', 1.0,
-        100.0)
+    min_gap: float = _setting(
+        25.0, 'natural logarithm of how much likelier the pose must be than any other; less is '
+        'ambiguous', '', 0.0, 1e6)
     max_predicted_tre: float = _setting(
         0.002, 'predicted TRE (RMS) allowed at the targets; without any, on the bone within 100 mm '
         'of what was touched', 'm', 1e-5, 1.0)
     max_bone_tre: float = _setting(
-        0.002, 'predicted TRE (RMS) allowed over the whole bone, where no targets are named', 'm',
+        0.0015, 'predicted TRE (RMS) allowed over the whole bone, where no targets are named', 'm',
         1e-5, 1.0)
     verification: float = _setting(0.002, 'distance at a verification point that still passes', 'm',
                                    1e-5, 0.1)

@@ -10,11 +10,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.stats import poisson
 
-from gsdf_registration.rigid import Array
+from gsdf_registration.field.jit import compiled
+from gsdf_registration.rigid import Array, from_rt, transform
 
 MIN_NEIGHBOURS = 4      # of a point in a stroke: samples 0.3-0.6 mm apart have a dozen and more
 MIN_CLUSTER = 12        # points in a stroke
 SIFT = 10               # cubes along the radius
+CROWDED = 0.9           # of the median count of neighbours
 
 
 def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
@@ -35,9 +37,9 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
     (n,) bool
 
     """
-    _, first, cube = np.unique(np.floor(points * (SIFT / radius)).astype(np.int64), axis=0,
-                               return_index=True, return_inverse=True)
-    sifted = points[first]      # one of each small cube: a resting tip must not slow this down
+    # one of each small cube: a resting tip must not slow this down
+    first, cube = _cubes(points, radius / SIFT)
+    sifted = points[first]
     tree = cKDTree(sifted)
     neighbours = tree.query_ball_point(sifted, radius, return_length=True) - 1
     dense = neighbours >= _least_neighbours(neighbours)
@@ -47,7 +49,7 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
         links = coo_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(count, count))
         _, cluster = connected_components(links, directed=False)
         dense[dense] = np.bincount(cluster)[cluster] >= MIN_CLUSTER
-    return dense[cube.ravel()] if dense.any() else np.ones(len(points), dtype=bool)
+    return dense[cube] if dense.any() else np.ones(len(points), dtype=bool)
 
 
 def _least_neighbours(neighbours: NDArray[np.intp]) -> int:
@@ -60,6 +62,26 @@ def _least_neighbours(neighbours: NDArray[np.intp]) -> int:
                                        rate) > 0.01 * np.count_nonzero(neighbours >= least) > 0:
         least += 1
     return least
+
+
+def crowded(points: Array, chosen: NDArray[np.intp], radius: float) -> NDArray[np.bool_]:
+    """
+    Tell which of the ``chosen`` points have about as many others within ``radius`` as most have.
+
+    A hand moves faster through the air than over a bone, so its arcs there are thinner.
+
+    Parameters
+    ----------
+    points : (n, 3) float, metres
+    chosen : (m,) int
+
+    Returns
+    -------
+    (m,) bool
+
+    """
+    neighbours = cKDTree(points).query_ball_point(points[chosen], radius, return_length=True)
+    return neighbours >= CROWDED * np.median(neighbours)
 
 
 def spread_sample(points: Array, count: int) -> NDArray[np.intp]:
@@ -75,12 +97,24 @@ def spread_sample(points: Array, count: int) -> NDArray[np.intp]:
 
     """
     chosen = np.zeros(min(count, len(points)), dtype=np.intp)
-    far = ((points - points.mean(axis=0)) ** 2).sum(axis=1)
-    for i in range(len(chosen)):
-        chosen[i] = np.argmax(far)
-        squared = ((points - points[chosen[i]]) ** 2).sum(axis=1)
-        far = squared if i == 0 else np.minimum(far, squared)
+    _spread(np.ascontiguousarray(points, dtype=np.float64), points.mean(axis=0), chosen)
     return chosen
+
+
+@compiled
+def _spread(points: Array, place: Array, chosen: NDArray[np.intp]) -> None:
+    """Fill ``chosen`` with the point farthest from ``place``, then from the chosen ones."""
+    far = np.full(len(points), np.inf)
+    for i in range(len(chosen)):
+        farthest = 0
+        for k in range(len(points)):
+            squared = ((points[k, 0] - place[0]) ** 2 + (points[k, 1] - place[1]) ** 2
+                       + (points[k, 2] - place[2]) ** 2)
+            far[k] = squared if i < 2 else min(far[k], squared)
+            if far[k] > far[farthest]:
+                farthest = k
+        chosen[i] = farthest
+        place = points[farthest]
 
 
 def thinned(points: Array, spacing: float) -> NDArray[np.intp]:
@@ -89,13 +123,33 @@ def thinned(points: Array, spacing: float) -> NDArray[np.intp]:
 
     The one nearest to the mean of its cube.
     """
-    _, cube = np.unique(np.floor(points / spacing).astype(np.int64), axis=0, return_inverse=True)
-    cube = cube.ravel()
+    _, cube = _cubes(points, spacing)
     size = np.bincount(cube)
     mean = np.stack([np.bincount(cube, points[:, a]) / size for a in range(3)], axis=1)
     off = ((points - mean[cube]) ** 2).sum(axis=1)
     order = np.lexsort((off, cube))
     return order[np.r_[True, np.diff(cube[order]) > 0]]
+
+
+def own_axes(points: Array) -> Array:
+    """
+    Return the rigid motion (4, 4) into the points' own frame: centroid, principal axes.
+
+    Whatever is done in that frame does not change when all points are moved together.
+    """
+    centre = points.mean(axis=0)
+    axes = np.linalg.svd(points - centre, full_matrices=False)[2]
+    # the sign of an axis: the longer tail lies on its positive side
+    axes *= np.where((((points - centre) @ axes.T) ** 3).sum(axis=0) < 0.0, -1.0, 1.0)[:, None]
+    axes[2] = np.cross(axes[0], axes[1])
+    return from_rt(axes, -axes @ centre)
+
+
+def _cubes(points: Array, edge: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first point in each cube along the points' own axes, and the cube of each."""
+    cells = np.floor(transform(own_axes(points), points) / edge).astype(np.int64)
+    _, first, cube = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    return first, cube.ravel()
 
 
 def first_of_each(points: Array) -> NDArray[np.bool_]:

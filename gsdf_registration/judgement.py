@@ -14,6 +14,7 @@ from gsdf_registration.basins import Choice
 from gsdf_registration.confidence import Confidence
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
+from gsdf_registration.guidance import in_words, where_they_differ, where_to_touch
 from gsdf_registration.result import Reason, Refusal
 from gsdf_registration.rigid import Array
 
@@ -45,16 +46,15 @@ def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bo
         'residuals_m': residuals, 'weights': weights, 'history': solution.history
     }
     if confidence is not None:
-        positions = np.reshape(config.landmarks.positions + config.targets.positions, (-1, 3))
-        named = dict(zip(config.landmarks.names + config.targets.names, positions))
+        named = named_points(config)
         surface = field.surface_points.astype(np.float64)
         everywhere = confidence.predicted_tre(surface)
-        targets = confidence.predicted_tre(positions[len(config.landmarks.names):])
+        targets = confidence.predicted_tre(np.reshape(config.targets.positions, (-1, 3)))
         known |= {
             'sigma_m': confidence.sigma, 'covariance': confidence.pose_covariance(T_tracker_bone),
             'weakest_direction': confidence.weakest_direction(surface, named), 'predicted_tre_m': {
-                **dict(zip(config.targets.names, targets.tolist())), 'rms': float(
-                    np.sqrt(np.mean(everywhere**2))), 'max': float(everywhere.max())
+                **dict(zip(config.targets.names, targets.tolist())), 'rms': rms(everywhere),
+                'max': float(everywhere.max())
             }
         }
     return known
@@ -93,26 +93,23 @@ def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, 
             f'{used - inliers} of {used} points lie off the bone, and the others fit it no better '
             'than another bone would; check that the model is of this patient, this side '
             'and this unit')
-    error = error_that_matters(confidence, rigid.transform(choice.solution.T_bone_tracker, on_bone),
-                               field, config)
-    if error > limits.max_predicted_tre:
-        return Refusal(
-            Reason.UNDER_CONSTRAINED,
-            f'an error of {length(error)} is to be expected, {length(limits.max_predicted_tre)} is '
-            f'allowed; {known["weakest_direction"].sentence}; touch the bone where that would show')
-    if not config.targets.names and known['predicted_tre_m']['rms'] > limits.max_bone_tre:
-        return Refusal(
-            Reason.UNDER_CONSTRAINED,
-            f'an error of {length(known["predicted_tre_m"]["rms"])} (RMS) is to be expected over '
-            f'the whole bone, {length(limits.max_bone_tre)} is allowed; '
-            f'{known["weakest_direction"].sentence}; touch the bone farther away, or name as '
-            'targets the places where the error matters')
-    ratio = choice.runner_up_ratio
-    if ratio is not None and ratio < limits.min_runner_up_ratio:
+    touched = rigid.transform(choice.solution.T_bone_tracker, on_bone)
+    for where, targets, limit in places_that_matter(touched, field, config):
+        error = rms(confidence.predicted_tre(targets))
+        if error > limit:
+            best = where_to_touch(confidence, field, touched, targets, 1)[0]
+            return Refusal(
+                Reason.UNDER_CONSTRAINED,
+                f'{length(error)} of error (RMS) must be expected {where}, {length(limit)} is '
+                f'allowed; {known["weakest_direction"].sentence}; touch the bone '
+                f'{in_words(best.position, touched, named_points(config))}')
+    rivals = [rival.T_bone_tracker for rival in choice.rivals if rival.gap < limits.min_gap]
+    if rivals:
+        place = where_they_differ([choice.solution.T_bone_tracker, *rivals], field, touched)
         return Refusal(
             Reason.AMBIGUOUS,
-            f'another pose fits nearly as well (its cost is {ratio:.2f} times as high); '
-            'touch a part of the bone that looks different, or start from landmarks')
+            f'what was touched fits {1 + len(rivals)} poses about equally well; touch the bone '
+            f'{in_words(place, touched, named_points(config))}, where they differ most')
     if not choice.solution.settled:
         return Refusal(
             Reason.NOT_CONVERGED, f'no pose was settled on: {choice.solution.termination}; '
@@ -120,18 +117,34 @@ def judge(known: dict[str, Any], choice: Choice, confidence: Confidence | None, 
     return None
 
 
-def error_that_matters(confidence: Confidence, touched: Array, field: Field,
-                       config: Config) -> float:
+def places_that_matter(touched: Array, field: Field,
+                       config: Config) -> list[tuple[str, Array, float]]:
     """
-    Return the predicted TRE (RMS, m).
+    Return where the predicted TRE is limited: in words, points (n, 3), m, bone frame, and limit, m.
 
-    At the named targets, or without any, on the bone within 100 mm of what was ``touched``.
+    At the named targets, or without any, on the bone within 100 mm of what was ``touched`` (n, 3),
+    m, bone frame, and on the whole bone.
     """
-    targets = np.reshape(config.targets.positions, (-1, 3))
-    if not len(targets):
-        surface = field.surface_points.astype(np.float64)
-        targets = surface[cKDTree(touched).query(surface, distance_upper_bound=NEAR)[0] < NEAR]
-    return float(np.sqrt(np.mean(confidence.predicted_tre(targets) ** 2)))
+    limits = config.limits
+    if config.targets.names:
+        return [('at the targets', np.reshape(config.targets.positions, (-1, 3)),
+                 limits.max_predicted_tre)]
+    surface = field.surface_points.astype(np.float64)
+    near = cKDTree(touched).query(surface, distance_upper_bound=NEAR)[0] < NEAR
+    return [('where the bone was touched', surface[near], limits.max_predicted_tre),
+            ('over the bone (name targets if only a part matters)', surface,
+             limits.max_bone_tre)]
+
+
+def named_points(config: Config) -> dict[str, Array]:
+    """Return the named landmarks and targets, (3,), m, bone frame, to speak of the bone by."""
+    positions = np.reshape(config.landmarks.positions + config.targets.positions, (-1, 3))
+    return dict(zip(config.landmarks.names + config.targets.names, positions))
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def summary(known: dict[str, Any]) -> str:

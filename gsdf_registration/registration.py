@@ -104,11 +104,11 @@ def _attempt(
                          progress)[:config.search.solutions]
     found = perf_counter()
     # The best of the local solutions, and the next-best elsewhere
-    starts = basins if guess is None else [guess, *basins]
+    starts = [*basins] if guess is None else [guess, *basins]
     choice = choose(solve_all(used, field, starts, config, history), used, field, config.solver)
     # How good is it, and is that good enough?
     around = nearest_neighbours(used, field, choice.solution.T_bone_tracker,
-                                9 * config.solver.neighbours)
+                                3 * config.solver.neighbours)
     confidence = assess(choice.solution, used, around)
     known = describe(choice, confidence, dense, field, config)
     known['timing_s'] = {'search': found - started, 'solve': perf_counter() - found}

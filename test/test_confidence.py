@@ -32,7 +32,7 @@ def confidence_at(points: Array, field: Field, guess: Array,
     """
     config = SolverConfig(method=method)
     solution = solve(points, field, guess, config)
-    around = nearest_neighbours(points, field, solution.T_bone_tracker, 9 * config.neighbours)
+    around = nearest_neighbours(points, field, solution.T_bone_tracker, 3 * config.neighbours)
     confidence = assess(solution, points, around)
     assert confidence is not None
     return solution, confidence

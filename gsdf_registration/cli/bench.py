@@ -8,7 +8,7 @@ from typing import Any
 
 from gsdf_registration.cli.common import example
 
-BENCHES = ('field', 'solve')
+BENCHES = ('field', 'solve', 'trust', 'paper')
 
 
 def add_parser(subparsers: Any) -> None:

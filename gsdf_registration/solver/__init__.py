@@ -4,23 +4,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from gsdf_registration import rigid
 from gsdf_registration.config import SolverConfig
 from gsdf_registration.field import Field
 from gsdf_registration.result import Iteration
 from gsdf_registration.rigid import Array
 from gsdf_registration.solver import gauss_newton
+from gsdf_registration.solver.centring import about_centroid, pose_about
 from gsdf_registration.solver.mixture import expectation_maximization
+from gsdf_registration.solver.neighbourhood import Neighbourhood, nearest_neighbours
 from gsdf_registration.solver.paper import algorithm_1
+
+__all__ = ['Estimates', 'Neighbourhood', 'Solution', 'nearest_neighbours', 'refine', 'solve']
 
 START = 0.0015      # m, scatter of the local means at first: a fair guess is so far off
 COOLING = 0.85      # by which it falls a round
-FLATTENED = 0.75    # share of its distance to the bone that a point is moved to find neighbours
+
+
+class Estimates(NamedTuple):
+    """
+    What the mixture finds out about the points beside the pose.
+
+    noise : float, m, standard deviation of a point along the normal
+    scatter : float, m, that of the mean residuals of neighbours
+    share : float in (0, 1), of the points that are on the bone
+    limit : float, m, that the scatter may not exceed
+    """
+
+    noise: float
+    scatter: float
+    share: float
+    limit: float
 
 
 @dataclass(frozen=True)
@@ -35,11 +53,13 @@ class Solution:
     jacobian : (n, 6) float, d residual / d [rotation about the centroid of the points,
         translation], bone axes
     curvature : (n,) float, d(w e)/de, less than the weight where a point is about to be given up
-    score : float, log-likelihood (mixture) or sum of the weights (paper): of two solutions of the
-        same points, the higher is better
+    exact : whether most points fit as well as white noise lets them and hardly any is inside the
+        bone
+    score : float, log-likelihood (mixture) or sum of the weights (paper)
     settled : bool, whether the end was reached by settling
     termination : str, why it ended, in words
     iterations : int
+    estimates : what to go on with from here; None after the published method
     history : the steps, on request
     """
 
@@ -48,11 +68,18 @@ class Solution:
     residuals: Array
     jacobian: Array
     curvature: Array
+    exact: bool
     score: float
     settled: bool
     termination: str
     iterations: int
+    estimates: Estimates | None = None
     history: tuple[Iteration, ...] = ()
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Of two solutions of the same points, the one of higher rank is better."""
+        return self.exact, self.score
 
 
 def solve(points: Array,
@@ -61,7 +88,8 @@ def solve(points: Array,
           config: SolverConfig,
           history: bool = False,
           neighbours: NDArray[np.int64] | None = None,
-          scatter: float = START) -> Solution:
+          scatter: float = START,
+          exact: bool = True) -> Solution:
     """
     Return the local solution from a first guess.
 
@@ -74,28 +102,46 @@ def solve(points: Array,
     history : whether to return every step
     neighbours : (n, k) int of the points, if known already
     scatter : float, metres, mixture: how far the first guess may be off
+    exact : mixture: whether to look for a pose that most points fit exactly, the others being soft
+        tissue or the like; else for one that all fit within the error of the model
 
     """
     if config.method == 'paper':
         return _paper(points, field, T_bone_tracker, config, history)
     if neighbours is None:
         neighbours = nearest_neighbours(points, field, T_bone_tracker, config.neighbours)
-    return _mixture(points, neighbours, field, T_bone_tracker, config, history, scatter)
+    # the noise is estimated at once, and most of what is touched is bone
+    limit = 0.5 * config.model_error if exact else config.model_error
+    first = Estimates(0.0, scatter, 0.7, limit)
+    return _mixture(points, neighbours, field, T_bone_tracker, config, history, first, exact, False)
 
 
-def nearest_neighbours(points: Array, field: Field, T_bone_tracker: Array,
-                       count: int) -> NDArray[np.int64]:
+def refine(points: Array,
+           field: Field,
+           previous: Solution,
+           config: SolverConfig,
+           neighbours: NDArray[np.int64] | None = None) -> Solution:
     """
-    Return indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first.
+    Return the local solution from a previous one, as for points that go on coming in.
 
-    Nearest along the bone: most of a point's distance to it is taken away first, or points would
-    be neighbours for having the same noise, and its mean over them no longer small.
+    It begins with what was estimated there: nothing has to cool down, so a few rounds do. It ends
+    where `solve` would from that pose with these neighbours.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, tracker frame; more or fewer than before
+    field : of the bone
+    previous : of `solve` or `refine`; off by no more than some of its scatter
+    config : settings of the method that it was found by
+    neighbours : (n, k) int of the points, if known already
+
     """
-    placed = rigid.transform(T_bone_tracker, points)
-    distance, gradient = field.sample(placed)
-    flat = placed - FLATTENED * distance[:, None] * gradient
-    nearest = cKDTree(flat).query(flat, k=min(count, len(points)))[1]
-    return np.ascontiguousarray(nearest.reshape(len(points), -1), dtype=np.int64)
+    if previous.estimates is None:
+        return _paper(points, field, previous.T_bone_tracker, config, False)
+    if neighbours is None:
+        neighbours = nearest_neighbours(points, field, previous.T_bone_tracker, config.neighbours)
+    return _mixture(points, neighbours, field, previous.T_bone_tracker, config, False,
+                    previous.estimates, previous.exact, True)
 
 
 def _mixture(points: Array,
@@ -104,22 +150,24 @@ def _mixture(points: Array,
              T_bone_tracker: Array,
              config: SolverConfig,
              history: bool,
-             scatter: float) -> Solution:
+             estimates: Estimates,
+             exact: bool,
+             strict: bool) -> Solution:
     """Return the solution of `expectation_maximization`."""
-    centred, R, t = _about_centroid(points, T_bone_tracker)
+    centred, centre, R, t = _about_centroid(points, T_bone_tracker)
     weight, e, J = np.zeros(len(points)), np.zeros(len(points)), np.zeros((len(points), 6))
-    steps = gauss_newton.empty_history(config.max_iterations)
-    ended, rounds, likelihood = expectation_maximization(
-        field.arrays, centred, R, t, neighbours, weight, e, J, steps, scatter, COOLING,
-        config.reach, config.model_error, config.tolerance)
-    return _solution(points, R, t, weight, e, J, weight, likelihood, ended, steps[:rounds],
-                     history)
+    steps, found = gauss_newton.empty_history(config.max_iterations), np.array(estimates)
+    ended, rounds, likelihood, fits = expectation_maximization(
+        field.arrays, centred, R, t, neighbours, weight, e, J, steps, found, strict, exact, COOLING,
+        config.reach, config.tolerance)
+    return _solution(centre, R, t, weight, e, J, weight, fits, likelihood, ended, steps[:rounds],
+                     history, Estimates(*found.tolist()))
 
 
 def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
            history: bool) -> Solution:
     """Return the solution of `algorithm_1`."""
-    centred, R, t = _about_centroid(points, T_bone_tracker)
+    centred, centre, R, t = _about_centroid(points, T_bone_tracker)
     keep, weight = np.ones(len(points), dtype=np.bool_), np.zeros(len(points))
     e, J = np.zeros(len(points)), np.zeros((len(points), 6))
     steps = gauss_newton.empty_history(config.max_iterations)
@@ -129,24 +177,25 @@ def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverCon
     e[~keep] = np.nan
     # d(w e)/de of the Cauchy weight
     curvature = np.where(keep, weight * (2.0 * weight - 1.0), 0.0)
-    return _solution(points, R, t, weight, e, J, curvature, float(weight.sum()), ended,
+    return _solution(centre, R, t, weight, e, J, curvature, False, float(weight.sum()), ended,
                      steps[:rounds], history)
 
 
-def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array]:
-    """Return centred points, rotation and centroid in the bone frame, to be changed in place."""
-    centre = points.mean(axis=0)
-    return (np.ascontiguousarray(points - centre), np.array(T_bone_tracker[:3, :3]),
-            rigid.transform(T_bone_tracker, centre))
+def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array, Array]:
+    """Return centred points, their centre, and its pose, rotation and place, to be changed."""
+    centred, centre, R, t = np.empty(points.shape), np.empty(3), np.empty((3, 3)), np.empty(3)
+    about_centroid(points, T_bone_tracker, centred, centre, R, t)
+    return centred, centre, R, t
 
 
-def _solution(points: Array, R: Array, t: Array, weight: Array, e: Array, J: Array,
-              curvature: Array, score: float, ended: int, steps: Array,
-              history: bool) -> Solution:
-    T = rigid.orthonormalized(rigid.from_rt(R, t - R @ points.mean(axis=0)))
+def _solution(centre: Array, R: Array, t: Array, weight: Array, e: Array, J: Array,
+              curvature: Array, exact: bool, score: float, ended: int, steps: Array,
+              history: bool, estimates: Estimates | None = None) -> Solution:
+    T = np.empty((4, 4))
+    pose_about(centre, R, t, T)
     return Solution(
-        T, weight, e, J, curvature, score, ended == gauss_newton.SETTLED,
-        gauss_newton.TERMINATION[ended], len(steps),
+        T, weight, e, J, curvature, exact, score, ended == gauss_newton.SETTLED,
+        gauss_newton.TERMINATION[ended], len(steps), estimates,
         tuple(
             Iteration(cost, turn, shift, int(used))
             for cost, turn, shift, used in steps.tolist()) if history else ())

@@ -14,7 +14,7 @@ import math
 import numba as nb
 import numpy as np
 
-from gsdf_registration.field.sample import sample
+from gsdf_registration.field.sample import BATCH, sample_batch
 
 kernel = nb.njit(nogil=True, cache=True, error_model='numpy', fastmath={'contract'})
 
@@ -26,38 +26,75 @@ def linearize(field, points, R, t, keep, e, J):
 
     Equation 1: e_k = SDF(R p_k + t); 5 and 6: J_k = grad SDF . [-(R p_k)^, I], rotation first.
     """
+    which = np.empty(BATCH, np.uint64)
+    arm = np.empty((3, BATCH))
+    value = np.empty((4, BATCH), np.float32)
+    n = 0
     for k in range(len(points)):
-        if not keep[k]:
-            continue
-        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
-        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
-        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
-        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
-        d, gx, gy, gz = sample(field, x + t[0], y + t[1], z + t[2])
-        e[k] = d
-        J[k, 0] = y * gz - z * gy   # g . (w x Rp) = w . (Rp x g)
-        J[k, 1] = z * gx - x * gz
-        J[k, 2] = x * gy - y * gx
-        J[k, 3] = gx
-        J[k, 4] = gy
-        J[k, 5] = gz
+        which[n] = k
+        n += keep[k]
+        if n == BATCH or k + 1 == len(points):
+            _turn(points, which, n, R, arm)
+            sample_batch(field, arm, t, n, value)
+            _write(which, n, arm, value, e, J)
+            n = 0
+
+
+@kernel
+def _turn(points, which, n, R, arm):
+    """Fill ``arm`` = R p with some of the points."""
+    for k in range(n):
+        x, y, z = points[which[k], 0], points[which[k], 1], points[which[k], 2]
+        arm[0, k] = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
+        arm[1, k] = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
+        arm[2, k] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+
+
+@kernel
+def _write(which, n, arm, value, e, J):
+    """Write what was sampled to the rows of ``e`` and ``J`` that it belongs to."""
+    for k in range(n):
+        x, y, z = arm[0, k], arm[1, k], arm[2, k]
+        gx, gy, gz = float(value[1, k]), float(value[2, k]), float(value[3, k])
+        row = which[k]
+        e[row] = value[0, k]
+        J[row, 0] = y * gz - z * gy   # g . (w x Rp) = w . (Rp x g)
+        J[row, 1] = z * gx - x * gz
+        J[row, 2] = x * gy - y * gx
+        J[row, 3] = gx
+        J[row, 4] = gy
+        J[row, 5] = gz
+
+
+@nb.njit(forceinline=True, error_model='numpy', fastmath={'contract'})
+def _plus(s, a, j):
+    """Return s + a j of tuples of six."""
+    return (s[0] + a * j[0], s[1] + a * j[1], s[2] + a * j[2], s[3] + a * j[3], s[4] + a * j[4],
+            s[5] + a * j[5])
 
 
 @kernel
 def normal_equations(J, e, w, A, b):
     """Fill ``A`` = J^T W J (lower triangle) and ``b`` = -J^T W e; return the cost sum w e^2."""
-    A[:] = 0.0
-    b[:] = 0.0
+    # tuples stay in registers, where arrays would be read and written at every point; of the
+    # rows, what lies above the diagonal is never asked for and so never computed
+    x0 = x1 = x2 = x3 = x4 = x5 = y = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     cost = 0.0
     for k in range(len(e)):
         if w[k] == 0.0:
             continue
+        j = (J[k, 0], J[k, 1], J[k, 2], J[k, 3], J[k, 4], J[k, 5])
+        x0, x1, x2 = _plus(x0, w[k] * j[0], j), _plus(x1, w[k] * j[1], j), _plus(x2, w[k] * j[2], j)
+        x3, x4, x5 = _plus(x3, w[k] * j[3], j), _plus(x4, w[k] * j[4], j), _plus(x5, w[k] * j[5], j)
+        y = _plus(y, -w[k] * e[k], j)
         cost += w[k] * e[k] * e[k]
-        for i in range(6):
-            wj = w[k] * J[k, i]
-            b[i] -= wj * e[k]
-            for j in range(i + 1):
-                A[i, j] += wj * J[k, j]
+    A[0, 0] = x0[0]
+    A[1, 0], A[1, 1] = x1[:2]
+    A[2, 0], A[2, 1], A[2, 2] = x2[:3]
+    A[3, 0], A[3, 1], A[3, 2], A[3, 3] = x3[:4]
+    A[4, 0], A[4, 1], A[4, 2], A[4, 3], A[4, 4] = x4[:5]
+    A[5, 0], A[5, 1], A[5, 2], A[5, 3], A[5, 4], A[5, 5] = x5
+    b[0], b[1], b[2], b[3], b[4], b[5] = y
     return cost
 
 

@@ -28,30 +28,34 @@ from gsdf_registration.solver.gauss_newton import (
     step_of,
     update,
 )
+from gsdf_registration.solver.median import median
 
 OUTSIDE = 0.9       # share of the interference that lies outside the bone
 # a point this much less likely than its neighbours (3.2 sigma) is interference of its own
 LONE = 5.0
+EXACTLY = 2.5       # standard deviations
 ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
 @kernel
-def expectation_maximization(field, points, R, t, neighbours, weight, e, J, history, scatter,
-                             cooling, reach, model_error, tolerance):
+def expectation_maximization(field, points, R, t, neighbours, weight, e, J, history, estimates,
+                             strict, exact, cooling, reach, tolerance):
     """
     Run EM with one Gauss-Newton step a round, in place on ``R`` (3, 3), ``t`` (3,).
 
     points : (n, 3), about their centroid
     neighbours : (n, K) the nearest points of each, itself first
-    scatter : standard deviation of the mean residuals to begin with; it falls by ``cooling`` a
-        round until it is what white noise gives
-        (graduated non-convexity: wide at first, strict in the end), then it is estimated, at most
-        ``model_error``
+    estimates : (4,) to begin with, and as found: noise (standard deviation of a point), scatter
+        (that of the mean residuals), share of the points that are on the bone; last, what
+        the scatter may not exceed
+    strict : whether the scatter stands as given; else it falls by ``cooling`` a round (graduated
+        non-convexity) until it is what is estimated
+    exact : whether it is first to fall on to what white noise gives
     reach : interference is sought this far from the bone
-    tolerance : length of the last step
+    tolerance : a step no longer than this is not taken any more
 
-    Returns (termination, iterations, log-likelihood); ``weight`` is the probability that a point is
-    on the bone.
+    Returns (termination, iterations, log-likelihood, whether most points fit exactly); ``weight``
+    is the probability that a point is on the bone.
     """
     n, K = neighbours.shape
     keep = np.ones(n, dtype=np.bool_)
@@ -59,101 +63,144 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
     b = np.zeros(6)
     dx = np.zeros(6)
     mean = np.zeros(n)
+    work = np.zeros(2 * n)
     size = math.sqrt((points * points).sum() / n)
     floor = 0.01 * field.voxel      # the field itself is no better
-    share = 0.7
-    noise = floor
-    strict = settled = False
+    noise, scatter, share, limit = estimates
+    spread = scatter
+    settled = False
+    last = len(history) - 1
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
-        _local_means(e, neighbours, reach, mean)
+        _local_means(e, neighbours, reach, work, mean)
         # Late on, what was estimated stands and steps shrink, or a crease could be crossed for ever
         late = iteration - len(history) // 4
         estimating = late <= 0
         if estimating:
-            noise = _white_noise(e, mean, K, reach, floor)
+            noise = _white_noise(e, mean, K, reach, floor, work)
         white = noise / math.sqrt(K)
+        estimated = strict      # in the round before, if not given: only then may this be the last
         if not strict:
-            scatter = max(scatter * cooling, white)
-            strict = scatter == white
-        _expectation(e, mean, K, share, noise, scatter, reach, weight)
+            end = white if exact else spread
+            scatter = max(scatter * cooling, end)
+            strict = scatter == end
+        on_bone, variance, likely = _expectation(e, mean, share, noise, scatter, reach, weight)
+        spread = min(max(math.sqrt(variance), white), max(limit, white))
         if strict and estimating:
-            share = min(max(weight.mean(), 0.2), 0.98)
-            scatter = min(
-                max(math.sqrt((weight * mean * mean).sum() / max(weight.sum(), 1.0)), white),
-                max(model_error, white))
-        history[iteration, 0] = normal_equations(J, e, weight, A, b)
+            share = min(max(on_bone / n, 0.2), 0.98)
+            scatter = spread
+        history[iteration, 0], history[iteration, 3] = normal_equations(J, e, weight, A, b), likely
         damp(A, history[iteration, 0], size * size)
-        history[iteration, 3] = (weight > 0.5).sum()
         if not solve_cholesky(A, b, dx):
-            return SINGULAR, iteration, -np.inf
+            return SINGULAR, iteration, -np.inf, False
         turn, shift = step_of(dx)
         shrink = 1.0 if estimating else 0.9**late
-        dx *= shrink
-        update(R, t, dx)
         history[iteration, 1], history[iteration, 2] = shrink * turn, shrink * shift
         # a swing well within the noise is no reason to refuse; a drift is
         step = turn * size + shift
-        settled = strict and shrink * step < tolerance and step < max(0.1 * noise, tolerance)
-        if settled:
-            break
-    linearize(field, points, R, t, keep, e, J)
-    _local_means(e, neighbours, reach, mean)
-    # Of two poses the one on which more points lie exactly is right: were the model's own error
-    # allowed for, a pose half on soft tissue could explain nearly everything
-    likelihood = _expectation(e, mean, K, share, noise, noise / math.sqrt(K), reach, weight)
-    _expectation(e, mean, K, share, noise, scatter, reach, weight)
-    return SETTLED if settled else EXHAUSTED, iteration + 1, likelihood
+        settled = estimated and shrink * step < tolerance and step < max(0.1 * noise, tolerance)
+        if settled or iteration == last:
+            break   # so that all that is returned is of this very pose
+        dx *= shrink
+        update(R, t, dx)
+    estimates[0], estimates[1], estimates[2] = noise, scatter, share
+    # Where most points fit exactly, no model error need be allowed for: with it, a pose half on
+    # soft tissue could explain nearly everything
+    white = noise / math.sqrt(K)
+    fits = _fits_exactly(mean, white)
+    return (SETTLED if settled else EXHAUSTED, iteration + 1,
+            _log_likelihood(mean, K, share, white if fits else scatter, reach), fits)
 
 
 @kernel
-def _local_means(e, neighbours, reach, mean):
+def _fits_exactly(mean, white):
+    """
+    Tell whether most points lie on the bone exactly, and hardly any inside it.
+
+    What lies outside may be soft tissue; an error of the model or the tracker lies on both sides.
+    """
+    on, inside = 0, 0
+    for k in range(len(mean)):
+        on += abs(mean[k]) < EXACTLY * white
+        inside += mean[k] < -EXACTLY * white
+    return on > 0.5 * len(mean) and inside < 0.1 * len(mean)
+
+
+@kernel
+def _local_means(e, neighbours, reach, near, mean):
     """Fill ``mean`` (n,) with the mean residual of each point's neighbours, far ones left out."""
     n, K = neighbours.shape
     for k in range(n):
-        total = 0.0
-        count = 0
+        close = abs(e[k]) < 2.0 * reach
+        near[2 * k] = e[k] if close else 0.0
+        near[2 * k + 1] = 1.0 if close else 0.0
+    for k in range(n):
+        total = count = 0.0
         for j in range(K):
-            r = e[neighbours[k, j]]
-            if abs(r) < 2.0 * reach:
-                total += r
-                count += 1
-        mean[k] = total / count if count else e[k]
+            i = np.uint64(2) * np.uint64(neighbours[k, j])      # unsigned: none is negative
+            total += near[i]
+            count += near[i + np.uint64(1)]
+        mean[k] = total / count if count > 0.0 else e[k]
 
 
 @kernel
-def _white_noise(e, mean, K, reach, floor):
+def _white_noise(e, mean, K, reach, floor, difference):
     """Return the noise (SD) by differences to the local means, which a wrong pose hardly moves."""
-    difference = np.empty(len(e))
     count = 0
     for k in range(len(e)):
-        if abs(mean[k]) < reach:
-            difference[count] = abs(e[k] - mean[k])
-            count += 1
+        difference[count] = abs(e[k] - mean[k])
+        count += abs(mean[k]) < reach
     # the median absolute deviation; the mean holds 1/K of the point itself
-    noise = 1.4826 * np.median(difference[:count]) / math.sqrt(1.0 - 1.0 / K) if count else 0.0
-    return max(noise, floor)
+    if count == 0:
+        return floor
+    return max(1.4826 * median(difference[:count]) / math.sqrt(1.0 - 1.0 / K), floor)
 
 
 @kernel
-def _expectation(e, mean, K, share, noise, scatter, reach, weight):
+def _expectation(e, mean, share, noise, scatter, reach, weight):
     """
-    Fill ``weight`` with the probability that each point is on the bone; return log-likelihood.
+    Fill ``weight`` with the probability that each point is on the bone.
 
-    It is that of the local means, which overlap K-fold among neighbours, so each counts 1/K.
+    Returns how many are expected to be, the variance of their local means about zero, and how many
+    are so rather than not.
     """
-    prior = math.log(share / (1.0 - share))
-    likelihood = 0.0
+    on_bone = squared = likely = 0.0
+    inside, outside = _odds_at_zero(share, scatter, reach)
+    per_scatter, per_noise = 1.0 / scatter, 1.0 / noise
     for k in range(len(e)):
-        interference = (OUTSIDE if mean[k] > 0.0 else 1.0 - OUTSIDE) / reach
-        m = mean[k] / scatter
-        r = (e[k] - mean[k]) / noise
-        patch = prior - 0.5 * m * m - math.log(ROOT_2PI * scatter * interference)
-        odds = patch + min(0.0, LONE - 0.5 * r * r)
+        m = mean[k] * per_scatter
+        r = (e[k] - mean[k]) * per_noise
+        odds = (outside if mean[k] > 0.0 else inside) - 0.5 * m * m + min(0.0, LONE - 0.5 * r * r)
         weight[k] = 1.0 / (1.0 + math.exp(-odds)) if odds > -30.0 else 0.0
-        likelihood += max(patch, 0.0) + math.log1p(math.exp(-abs(patch))) + math.log(
-            (1.0 - share) * interference)
-    return likelihood / K
+        on_bone += weight[k]
+        squared += weight[k] * mean[k] * mean[k]
+        likely += weight[k] > 0.5
+    return on_bone, squared / max(on_bone, 1.0), likely
+
+
+@kernel
+def _log_likelihood(mean, K, share, scatter, reach):
+    """Return that of the local means, which overlap K-fold among neighbours: each counts 1/K."""
+    inside, outside = _odds_at_zero(share, scatter, reach)
+    likelihood = len(mean) * math.log((1.0 - share) / reach)
+    product = 1.0
+    for k in range(len(mean)):
+        m = mean[k] / scatter
+        odds = (outside if mean[k] > 0.0 else inside) - 0.5 * m * m
+        likelihood += max(odds, 0.0)
+        # the logarithm of a product is quicker than the sum of logarithms
+        product *= (1.0 + math.exp(-abs(odds))) * (OUTSIDE if mean[k] > 0.0 else 1.0 - OUTSIDE)
+        if k % 128 == 127:
+            likelihood += math.log(product)
+            product = 1.0
+    return (likelihood + math.log(product)) / K
+
+
+@kernel
+def _odds_at_zero(share, scatter, reach):
+    """Return the log-odds of a mean residual next to zero, just inside the bone and outside."""
+    odds = math.log(share / (1.0 - share) / (ROOT_2PI * scatter / reach))
+    return odds - math.log(1.0 - OUTSIDE), odds - math.log(OUTSIDE)
 
 
 @kernel
@@ -161,5 +208,5 @@ def patch_likelihood(e, neighbours, scatter, reach):
     """Return the log-likelihood of residuals ``e`` (n,) whose local means scatter by so much."""
     n, K = neighbours.shape
     mean = np.zeros(n)
-    _local_means(e, neighbours, reach, mean)
-    return _expectation(e, mean, K, 0.5, np.inf, scatter, reach, np.zeros(n))
+    _local_means(e, neighbours, reach, np.zeros(2 * n), mean)
+    return _log_likelihood(mean, K, 0.5, scatter, reach)

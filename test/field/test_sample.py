@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A field answers anywhere: near, far and out of its box."""
 
+import numba as nb
 import numpy as np
 import pytest
 import trimesh
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from gsdf_registration.bone import make_bone
 from gsdf_registration.field import build_field
+from gsdf_registration.field.sample import sample, sample_many
 from gsdf_registration.result import InputError
 
 RADIUS = 0.03
@@ -55,7 +57,56 @@ def test_any_point_has_a_finite_distance_and_a_unit_gradient(sphere, x):
     d, g = sphere.sample([x])
     assert np.isfinite(d[0])
     assert np.linalg.norm(g[0]) == pytest.approx(1.0, abs=1e-5)
-    assert d[0] == pytest.approx(np.linalg.norm(x) - RADIUS, rel=0.02, abs=0.003)
+    # beyond a corner of the box to nearly the nearest point, as above
+    assert d[0] == pytest.approx(np.linalg.norm(x) - RADIUS, rel=0.05, abs=0.003)
+
+
+def test_a_sample_is_the_blend_of_the_predictions_of_the_nodes_round_it(sphere):
+    a = sphere.arrays
+    cell = np.argwhere(a.block_of >= 0)[[0, 50, -1]]
+    for i, j, k in cell:
+        nodes = a.nodes[a.block_of[i, j, k] * 125:][:125].reshape(5, 5, 5, 4).astype(float)
+        for at in np.random.default_rng(0).uniform(0.0, 4.0, (20, 3)):
+            low = np.floor(at).astype(int)
+            d, g = 0.0, np.zeros(3)
+            for corner in np.ndindex(2, 2, 2):
+                node = nodes[tuple(low + corner)]
+                w = np.prod(1.0 - np.abs(at - low - corner))
+                d += w * (node[0] + 0.5 * a.voxel * node[1:] @ (at - low - corner))
+                g += w * node[1:]
+            x = a.origin + (4 * np.array([i, j, k]) + at) * a.voxel
+            distance, gradient = sphere.sample([x])
+            assert distance[0] == pytest.approx(d, abs=1e-8)
+            np.testing.assert_allclose(gradient[0], g / np.linalg.norm(g), atol=1e-6)
+
+
+def test_many_points_at_once_are_sampled_as_each_alone(sphere):
+    rng = np.random.default_rng(3)
+    x = np.concatenate([rng.uniform(-0.06, 0.06, (1000, 3)), np.zeros((1, 3)),
+                        sphere.surface_points[:300] + rng.normal(0.0, 1e-3, (300, 3)),
+                        rng.uniform(-1.0, 1.0, (30, 3))])
+    alone = np.array([one(sphere.arrays, *row) for row in x])
+    for order in (np.arange(len(x)), rng.permutation(len(x))):
+        d, g = sphere.sample(x[order])
+        np.testing.assert_allclose(d, alone[order, 0], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(g, alone[order, 1:], atol=1e-6)
+
+
+@nb.njit
+def one(field, x, y, z):
+    return sample(field, x, y, z)
+
+
+def test_no_points_have_no_samples(sphere):
+    d, g = sphere.sample(np.zeros((0, 3)))
+    assert d.shape == (0,) and g.shape == (0, 3)
+
+
+def test_a_point_that_is_not_finite_is_not_looked_up(sphere):
+    d, g = np.zeros(3), np.zeros((3, 3))
+    x = np.array([[0.0, 0.0, 0.031], [np.nan, 0.0, 0.0], [0.0, -np.inf, 0.0]])
+    sample_many(sphere.arrays, x, d, g)
+    assert d[0] == pytest.approx(0.001, abs=1e-5) and np.isnan(d[1:]).all()
 
 
 def test_the_corners_and_faces_of_the_box_are_in_range(sphere):

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The default solver: its formulas, and that going on from a solution ends where it began."""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import expit
+from scipy.stats import norm
+from smooth_bone import T_TRACKER_BONE, bone_field, touched
+
+from gsdf_registration import rigid
+from gsdf_registration.config import SolverConfig
+from gsdf_registration.rigid import Array
+from gsdf_registration.solver import (
+    Estimates,
+    Neighbourhood,
+    Solution,
+    nearest_neighbours,
+    refine,
+    solve,
+)
+from gsdf_registration.solver.mixture import (
+    LONE,
+    OUTSIDE,
+    _expectation,
+    _local_means,
+    _log_likelihood,
+    _white_noise,
+)
+
+CONFIG = SolverConfig()
+REACH = CONFIG.reach
+LAW = settings(deadline=None, max_examples=15)
+T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
+seeds = st.integers(0, 10**6)
+
+
+def moved(T: Array, seed: int, degrees: float, metres: float, about: Array) -> Array:
+    """Return ``T`` after a turn about a point of the tracker frame and a shift."""
+    rng = np.random.default_rng(seed)
+    axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    turn = rigid.from_rt(rigid.rotation_exp(np.radians(degrees) * axis), np.zeros(3))
+    there = rigid.from_rt(np.eye(3), about + metres * way)
+    return np.asarray(T @ there @ turn @ rigid.from_rt(np.eye(3), -about))
+
+
+def near(points: Array, seed: int, degrees: float = 3.0, metres: float = 0.002) -> Array:
+    return moved(T_BONE_TRACKER, seed, degrees, metres, points.mean(axis=0))
+
+
+def swept(n: int = 1000, soft: int = 0, seed: int = 0) -> Array:
+    """Return touched points with noise, ``soft`` of them in one place 2-5 mm off; tracker frame."""
+    points = touched(n, seed, 3e-4)
+    _, gradient = bone_field().sample(points)
+    there = np.argsort(np.linalg.norm(points - points[0], axis=1))[:soft]
+    off = 0.002 + 0.003 * np.sin(40.0 * points[there, 1]) ** 2
+    points[there] += off[:, None] * gradient[there]
+    return rigid.transform(T_TRACKER_BONE, points)
+
+
+def apart(a: Array, b: Array, points: Array) -> float:
+    """Return how far apart two poses put the points at most, m."""
+    return float(
+        np.linalg.norm(rigid.transform(a, points) - rigid.transform(b, points), axis=1).max())
+
+
+def test_a_guess_near_by_comes_home() -> None:
+    for seed in range(3):
+        points = swept(1000, 0, seed)
+        solution = solve(points, bone_field(), near(points, seed), CONFIG)
+        assert solution.settled
+        # nothing but noise: the bone is round enough to slide a little
+        assert apart(solution.T_bone_tracker, T_BONE_TRACKER, points) < 5e-4
+        assert solution.estimates is not None
+        assert solution.estimates.noise == pytest.approx(3e-4, rel=0.3)
+        assert (solution.weights > 0.5).sum() > 950
+
+
+@pytest.mark.parametrize(('soft', 'rounds', 'off'), [(0, 10, 2e-6), (150, 60, 2e-5)])
+@given(seed=seeds)
+@LAW
+def test_going_on_from_a_pose_half_a_millimetre_off_ends_at_the_same_pose(
+        soft: int, rounds: int, off: float, seed: int) -> None:
+    """Each stops where a step is 1 um long; with interference, steps shrink only slowly."""
+    points = swept(1000, soft, seed % 5)
+    guess = near(points, seed)
+    neighbours = nearest_neighbours(points, bone_field(), guess, CONFIG.neighbours)
+    cold = solve(points, bone_field(), guess, CONFIG, neighbours=neighbours)
+    pose = moved(cold.T_bone_tracker, seed, 0.3, 5e-4, points.mean(axis=0))
+    warm = refine(points, bone_field(), dataclasses.replace(cold, T_bone_tracker=pose), CONFIG,
+                  neighbours)
+    assert warm.settled and warm.iterations <= rounds
+    assert apart(warm.T_bone_tracker, cold.T_bone_tracker, points) < off
+    np.testing.assert_allclose(warm.weights, cold.weights, atol=0.02)
+    np.testing.assert_allclose(warm.estimates, cold.estimates, rtol=0.02)
+    assert warm.score == pytest.approx(cold.score, abs=0.1)
+
+
+def test_at_the_solution_there_is_nothing_left_to_do() -> None:
+    points = swept()
+    guess = near(points, 1)
+    neighbours = nearest_neighbours(points, bone_field(), guess, CONFIG.neighbours)
+    cold = solve(points, bone_field(), guess, CONFIG)
+    warm = refine(points, bone_field(), cold, CONFIG, neighbours)
+    assert warm.iterations == 1 and warm.settled
+    np.testing.assert_allclose(warm.T_bone_tracker, cold.T_bone_tracker, atol=1e-14)
+
+
+def test_points_that_come_in_move_the_pose_to_where_all_of_them_have_it() -> None:
+    points = swept(1000, 100)
+    guess = near(points, 2)
+    near_by = Neighbourhood(points[:600], bone_field(), guess, CONFIG.neighbours)
+    first = solution = solve(points[:600], bone_field(), guess, CONFIG, neighbours=near_by.indices)
+    for k in range(600, 1000, 50):
+        near_by.add(points[k:k + 50])
+        solution = refine(points[:k + 50], bone_field(), solution, CONFIG, near_by.indices)
+    whole = solve(points, bone_field(), guess, CONFIG)
+    assert apart(first.T_bone_tracker, whole.T_bone_tracker, points) > 1e-5
+    assert apart(solution.T_bone_tracker, whole.T_bone_tracker, points) < 2.0 * CONFIG.tolerance
+
+
+def test_neighbours_are_found_where_none_are_given() -> None:
+    points = swept()
+    cold = solve(points, bone_field(), near(points, 4), CONFIG)
+    cold = dataclasses.replace(cold, T_bone_tracker=near(points, 5, 0.3, 5e-4))
+    neighbours = nearest_neighbours(points, bone_field(), cold.T_bone_tracker, CONFIG.neighbours)
+    known, found = (refine(points, bone_field(), cold, CONFIG, n) for n in (neighbours, None))
+    assert known.T_bone_tracker.tobytes() == found.T_bone_tracker.tobytes()
+
+
+def test_the_published_method_goes_on_as_itself() -> None:
+    points, config = swept(), SolverConfig(method='paper')
+    first = solve(points, bone_field(), near(points, 6), config)
+    assert first.estimates is None
+    again = refine(points, bone_field(), first, config)
+    assert again.T_bone_tracker.tobytes() == solve(points, bone_field(), first.T_bone_tracker,
+                                                   config).T_bone_tracker.tobytes()
+
+
+@pytest.mark.parametrize('rounds', [3, 200])
+def test_what_is_returned_is_of_the_pose_returned(rounds: int) -> None:
+    points = swept(1000, 150)
+    config = dataclasses.replace(CONFIG, max_iterations=rounds)
+    solution = solve(points, bone_field(), near(points, 7), config)
+    assert solution.settled == (rounds == 200) and solution.iterations <= rounds
+    residuals, gradient = bone_field().sample(rigid.transform(solution.T_bone_tracker, points))
+    np.testing.assert_allclose(solution.residuals, residuals, atol=1e-12)
+    np.testing.assert_allclose(solution.jacobian[:, 3:], gradient, atol=1e-9)
+
+
+@given(seeds)
+@LAW
+def test_the_order_of_the_points_does_not_matter(seed: int) -> None:
+    points = swept(600, 60, seed % 5)
+    order = np.random.default_rng(seed).permutation(len(points))
+    guess = near(points, seed)
+    one, other = (solve(x, bone_field(), guess, CONFIG) for x in (points, points[order]))
+    assert apart(one.T_bone_tracker, other.T_bone_tracker, points) < 1e-9
+    np.testing.assert_allclose(other.weights, one.weights[order], atol=1e-6)
+
+
+@given(seeds, st.sampled_from([1000.0, 1e-3, 4.0]))
+@LAW
+def test_the_unit_of_length_does_not_matter(seed: int, factor: float) -> None:
+    """Every length, of bone, points, pose, estimates and settings, is put in another unit."""
+    points, field = swept(600, 60, seed % 5), bone_field()
+    cold = solve(points, field, near(points, seed), CONFIG)
+    start = dataclasses.replace(cold, T_bone_tracker=near(points, seed, 0.3, 5e-4))
+    assert start.estimates is not None
+    nodes = field.arrays.nodes.copy()
+    nodes[:, 0] *= np.float32(factor)
+    scaled_field = dataclasses.replace(
+        field, arrays=field.arrays._replace(origin=field.arrays.origin * factor,
+                                            voxel=field.arrays.voxel * factor, nodes=nodes))
+    pose = start.T_bone_tracker.copy()
+    pose[:3, 3] *= factor
+    scaled_start = dataclasses.replace(
+        start, T_bone_tracker=pose,
+        estimates=Estimates(factor * start.estimates.noise, factor * start.estimates.scatter,
+                            start.estimates.share, factor * start.estimates.limit))
+    scaled_config = dataclasses.replace(CONFIG, reach=REACH * factor,
+                                        model_error=CONFIG.model_error * factor,
+                                        tolerance=CONFIG.tolerance * factor)
+    metres = refine(points, field, start, CONFIG)
+    other = refine(factor * points, scaled_field, scaled_start, scaled_config)
+    T = other.T_bone_tracker.copy()
+    T[:3, 3] /= factor
+    assert other.iterations == metres.iterations
+    assert apart(T, metres.T_bone_tracker, points) < 1e-9
+
+
+def same_bits(a: Solution, b: Solution) -> bool:
+    names = ('T_bone_tracker', 'weights', 'residuals', 'jacobian')
+    return a.estimates == b.estimates and a.score == b.score and all(
+        getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in names)
+
+
+def test_the_same_bits_twice_and_from_many_threads() -> None:
+    points = swept(1000, 100)
+    guess = near(points, 8)
+    first = solve(points, bone_field(), guess, CONFIG)
+    warm = refine(points, bone_field(), first, CONFIG)
+    with ThreadPoolExecutor(4) as pool:
+        for other in pool.map(lambda _: solve(points, bone_field(), guess, CONFIG), range(8)):
+            assert same_bits(first, other)
+        for other in pool.map(lambda _: refine(points, bone_field(), first, CONFIG), range(8)):
+            assert same_bits(warm, other)
+
+
+def test_what_is_given_is_left_alone() -> None:
+    points = swept()
+    cold = solve(points, bone_field(), near(points, 9), CONFIG)
+    before = points.copy(), cold.T_bone_tracker.copy(), cold.weights.copy(), cold.estimates
+    refine(points, bone_field(), cold, CONFIG)
+    np.testing.assert_array_equal(points, before[0])
+    np.testing.assert_array_equal(cold.T_bone_tracker, before[1])
+    np.testing.assert_array_equal(cold.weights, before[2])
+    assert cold.estimates == before[3]
+
+
+def some_residuals(far: bool) -> tuple[Array, np.ndarray]:
+    rng = np.random.default_rng(0)
+    e = rng.normal(0.0, 0.002, 300)
+    if far:
+        e[rng.choice(300, 120, replace=False)] = rng.uniform(0.012, 0.1, 120)
+        e[0] = np.nan
+    return e, np.array([rng.permutation(300)[:8] for _ in range(300)])
+
+
+@pytest.mark.parametrize('far', [False, True])
+def test_local_means_leave_out_what_is_far(far: bool) -> None:
+    e, neighbours = some_residuals(far)
+    mean = np.zeros(300)
+    _local_means(e, neighbours, REACH, np.zeros(600), mean)
+    close = np.abs(e[neighbours]) < 2.0 * REACH
+    expected = np.where(close, e[neighbours], 0.0).sum(axis=1) / np.maximum(close.sum(axis=1), 1)
+    expected = np.where(close.any(axis=1), expected, e)
+    np.testing.assert_allclose(mean, expected, rtol=1e-9, atol=1e-18)
+
+
+def test_the_noise_is_the_median_deviation_from_the_local_mean() -> None:
+    e, _ = some_residuals(False)
+    mean = np.random.default_rng(1).normal(0.0, 0.005, 300)
+    expected = np.median(np.abs(e - mean)[np.abs(mean) < REACH]) / norm.ppf(0.75) / np.sqrt(15 / 16)
+    assert _white_noise(e, mean, 16, REACH, 1e-9, np.zeros(300)) == pytest.approx(expected, 1e-4)
+    assert _white_noise(e, mean, 16, REACH, 1.0, np.zeros(300)) == 1.0
+    assert _white_noise(e, mean + 1.0, 16, REACH, 1e-5, np.zeros(300)) == 1e-5     # none is near
+
+
+def test_weights_and_likelihood_are_those_of_a_mixture() -> None:
+    rng = np.random.default_rng(2)
+    mean, share, noise, scatter = rng.normal(0.0, 3e-4, 500), 0.8, 3e-4, 1e-4
+    e = mean + rng.normal(0.0, 4e-4, 500)
+    on_bone = share * norm.pdf(mean, scale=scatter)
+    interference = (1.0 - share) * np.where(mean > 0.0, OUTSIDE, 1.0 - OUTSIDE) / REACH
+    lone = np.minimum(0.0, LONE - 0.5 * ((e - mean) / noise) ** 2)
+    odds = np.log(on_bone / interference) + lone
+    weight = np.zeros(500)
+    count, variance, likely = _expectation(e, mean, share, noise, scatter, REACH, weight)
+    assert (count, likely) == (pytest.approx(weight.sum()), (weight > 0.5).sum())
+    assert variance == pytest.approx((weight * mean**2).sum() / weight.sum())
+    np.testing.assert_allclose(weight, np.where(odds > -30.0, expit(odds), 0.0), rtol=1e-9)
+    assert _log_likelihood(mean, 16, share, scatter, REACH) == pytest.approx(
+        np.log(on_bone + interference).sum() / 16, rel=1e-12)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nearest points along the bone, found at once or one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from smooth_bone import T_TRACKER_BONE, bone_field, touched
+
+from gsdf_registration import rigid
+from gsdf_registration.rigid import Array
+from gsdf_registration.solver import Neighbourhood, nearest_neighbours
+from gsdf_registration.solver.neighbourhood import FLATTENED
+
+T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
+
+
+def noisy(n: int, seed: int = 0) -> Array:
+    return rigid.transform(T_TRACKER_BONE, touched(n, seed, 1e-3))
+
+
+@given(st.integers(0, 20), st.integers(1, 60), st.lists(st.integers(0, 40), max_size=6),
+       st.integers(2, 20))
+@settings(deadline=None, max_examples=40)
+def test_points_added_have_the_neighbours_they_would_have_had_from_the_start(
+        seed: int, first: int, added: list[int], count: int) -> None:
+    points = noisy(first + sum(added), seed)
+    grown = Neighbourhood(points[:first], bone_field(), T_BONE_TRACKER, count)
+    for n in added:
+        grown.add(points[len(grown):len(grown) + n])
+    assert len(grown) == len(points)
+    np.testing.assert_array_equal(
+        grown.indices, nearest_neighbours(points, bone_field(), T_BONE_TRACKER, count))
+
+
+def test_each_point_comes_first_and_the_rest_by_distance_along_the_bone() -> None:
+    points = noisy(300)
+    nearest = nearest_neighbours(points, bone_field(), T_BONE_TRACKER, 10)
+    assert (nearest[:, 0] == np.arange(300)).all()
+    placed = rigid.transform(T_BONE_TRACKER, points)
+    distance, gradient = bone_field().sample(placed)
+    flat = placed - FLATTENED * distance[:, None] * gradient
+    apart = np.linalg.norm(flat[:, None] - flat, axis=2)
+    np.testing.assert_array_equal(nearest, np.argsort(apart, axis=1)[:, :10])
+
+
+def test_the_neighbours_of_a_resting_tip_are_points_each_once() -> None:
+    points = noisy(50)
+    grown = Neighbourhood(points, bone_field(), T_BONE_TRACKER, 8)
+    grown.add(np.repeat(points[:1], 30, axis=0))    # the same place over and over
+    assert all(len(set(row.tolist())) == 8 for row in grown.indices)
+    assert (grown.indices[:, 0] == np.arange(80)).all()
+
+
+@pytest.mark.parametrize('count', [4, 16])
+def test_what_was_given_is_left_alone(count: int) -> None:
+    points = noisy(8)
+    before = points.copy()
+    grown = Neighbourhood(points, bone_field(), T_BONE_TRACKER, count)
+    for _ in range(3):
+        grown.add(points + 0.001)
+    np.testing.assert_array_equal(points, before)
