@@ -138,7 +138,8 @@ def own_axes(points: Array) -> Array:
     Whatever is done in that frame does not change when all points are moved together.
     """
     centre = points.mean(axis=0)
-    axes = np.linalg.svd(points - centre, full_matrices=False)[2]
+    # of the 3 x 3 moments, so that there are three axes however few the points
+    axes = np.linalg.eigh((points - centre).T @ (points - centre))[1].T[::-1].copy()
     # the sign of an axis: the longer tail lies on its positive side
     axes *= np.where((((points - centre) @ axes.T) ** 3).sum(axis=0) < 0.0, -1.0, 1.0)[:, None]
     axes[2] = np.cross(axes[0], axes[1])
