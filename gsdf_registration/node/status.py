@@ -41,6 +41,9 @@ def _confidence(result: RegistrationResult) -> dict[str, str]:
         f'predicted_tre_m.{target}': f'{tre:.6f}'
         for target, tre in result.predicted_tre_m.items() if tre is not None
     }
+    for name in ('sigma_m', 'runner_up_ratio'):
+        if getattr(result, name) is not None:
+            known[name] = f'{getattr(result, name):.6f}'
     if result.weakest_direction is not None:
         known['weakest_direction'] = result.weakest_direction.sentence
     return known
