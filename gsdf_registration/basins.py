@@ -21,11 +21,11 @@ from gsdf_registration.solver import Solution, nearest_neighbours, solve
 from gsdf_registration.solver.consensus import SCATTER, consensus
 from gsdf_registration.solver.mixture import patch_likelihood
 
-APART = 0.005   # m: solutions that move the points less than this apart (RMS) are one basin
+APART = 0.0015  # m: solutions that move the points less than this apart (RMS) are one basin
 
 
 ROUNDS = 4      # of consensus; one that finds nothing better is the last
-CANDIDATES = 12     # of a round that are solved to the end
+CANDIDATES = 48     # of a round that are solved to the end: the right one may rank low before that
 EXPLAINED = 0.9     # share of the points: where so many fit exactly, no other pose can fit better
 
 

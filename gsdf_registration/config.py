@@ -97,7 +97,7 @@ class SearchConfig:
 
     rotations: int = _setting(200, 'attitudes tried', '', 1, 100_000)
     places: int = _setting(100, 'places on the bone tried for each of them', '', 1, 10_000)
-    parts: int = _setting(12, 'parts of the points that are also tried alone', '', 0, 100)
+    parts: int = _setting(7, 'places round which parts of the points are also tried alone', '', 0, 100)
     reach: float = _setting(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
     radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm',
                              1e-4, 0.1)
@@ -150,7 +150,7 @@ class LimitsConfig:
     max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker',
                                 'm', 1e-5, 0.1)
     min_gap: float = _setting(
-        25.0, 'natural logarithm of how much likelier the pose must be than any other; less is '
+        18.0, 'natural logarithm of how much likelier the pose must be than any other; less is '
         'ambiguous', '', 0.0, 1e6)
     max_predicted_tre: float = _setting(
         0.002, 'predicted TRE (RMS) allowed at the targets; without any, on the bone within 100 mm '

@@ -28,7 +28,9 @@ from gsdf_registration.result import Reason, Refusal
 from gsdf_registration.rigid import Array
 from gsdf_registration.starts import around, super_fibonacci
 
-PART = 0.2          # share of the points in a part
+NEAR = 0.2          # share of the points that make a part
+AWAY = 0.4          # share that is left out of one
+LEAST = 20          # points in a part, if there are so many
 GLANCE = 16         # points of the first look at a start
 SEEN = 4000         # starts that pass it
 CHUNK = 64          # candidates a task: small enough to share evenly and to stop soon
@@ -111,12 +113,19 @@ def find_basins(points: Array,
 
 
 def parts(points: Array, count: int) -> list[Array]:
-    """Return all points, and ``count`` overlapping parts: balls that hold `PART` of them."""
-    size = max(round(PART * len(points)), 20)
-    return [points] + [
-        points[np.argsort(((points - points[seed])**2).sum(axis=1), kind='stable')[:size]]
-        for seed in spread_sample(points, count)
-    ]
+    """
+    Return all points and, round each of ``count`` places, the near ones and all but the near ones.
+
+    Where one other thing was touched some place lies on it; where there are several some place lies
+    apart from them.
+    """
+    near = max(round(NEAR * len(points)), LEAST)
+    away = max(min(round(AWAY * len(points)), len(points) - LEAST), 0)
+    found = [points]
+    for seed in spread_sample(points, count):
+        nearest = np.argsort(((points - points[seed])**2).sum(axis=1), kind='stable')
+        found += [points[nearest[:near]], points[nearest[away:]]]
+    return found
 
 
 def _from_anywhere(work: _Work, points: Array, field: Field, config: SearchConfig) -> Poses:
@@ -226,4 +235,3 @@ def _distinct(x, separation2, count):
             if m == len(chosen):
                 break
     return chosen[:m]
-

@@ -28,7 +28,7 @@ SHARE = 0.08        # of the points in a patch
 POINTS = 300        # points that the patches are made of
 SCALES = np.array([0.003, 0.003, 0.002, 0.002, 0.0015])    # m, of the weights, a step each
 SCATTER = 0.00035   # m, by which a good pose from so few points is off
-APART = 0.0005      # m (RMS over the points) between poses returned
+APART = 0.00025     # m (RMS over the points) between poses returned
 
 
 def consensus(points: Array, field: Field, T_bone_tracker: Array, neighbours: NDArray[np.int64],
