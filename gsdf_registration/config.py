@@ -97,7 +97,8 @@ class SearchConfig:
 
     rotations: int = _setting(200, 'attitudes tried', '', 1, 100_000)
     places: int = _setting(100, 'places on the bone tried for each of them', '', 1, 10_000)
-    parts: int = _setting(7, 'places round which parts of the points are also tried alone', '', 0, 100)
+    parts: int = _setting(7, 'places round which parts of the points are also tried alone', '', 0,
+                          100)
     reach: float = _setting(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
     radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm',
                              1e-4, 0.1)
@@ -122,7 +123,8 @@ class SolverConfig:
                             'm', 1e-4, 0.1)
     model_error: float = _setting(0.0006, 'mixture: how far the model may be off over a stretch',
                                   'm', 0.0, 0.01)
-    tolerance: float = _setting(1e-6, 'mixture: a shorter step is not taken any more', 'm', 1e-15, 1e-3)
+    tolerance: float = _setting(1e-6, 'mixture: a shorter step is not taken any more', 'm', 1e-15,
+                                1e-3)
     cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
                                    1e-5, 0.1)
     discard_below: float = _setting(

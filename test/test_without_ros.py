@@ -24,13 +24,15 @@ sys.meta_path.insert(0, NoRos())
 """
 # The only rooms that know ROS.
 WITH_ROS = ('gsdf_registration.node', 'msg_adapters.ros')
+# Scripts that run in the environments of other libraries.
+ELSEWHERE = ('gsdf_registration.benchmark.peers.workers.',)
 
 
 def modules() -> list[str]:
     """Return the names of all modules of both packages but those that need ROS."""
     found = [module.name for package in (gsdf_registration, msg_adapters)
              for module in pkgutil.walk_packages(package.__path__, f'{package.__name__}.')]
-    return [name for name in found if not name.startswith(WITH_ROS)]
+    return [name for name in found if not name.startswith(WITH_ROS + ELSEWHERE)]
 
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
