@@ -68,7 +68,7 @@ setup(
             'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
         ],
         'report': ['plotly>=5'],
-        'bench': ['libigl>=2.5', 'open3d>=0.18', 'small_gicp>=1.0'],
+        'bench': ['libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich', 'small_gicp>=1.0'],
         'test': [
             'pytest>=8',
             'pytest-timeout',

@@ -24,7 +24,6 @@ SHIPPED = 'package://gsdf_registration/bags/hip.ply'
 EXPOSED = 0.04          # m, radius of the ball in which points are touched
 NOISE = 5e-4            # m, of a point, each axis
 LANDMARK_ERROR = 4e-3   # m
-LANDMARKS_WITHIN = 0.12     # m of the middle of the points: what can be reached
 PER_AREA = 2e6          # model points a square metre for the peers: 0.7 mm apart
 
 
@@ -175,6 +174,7 @@ def drawn(surface: Array, near: np.ndarray, n: int,
     import numpy as np
 
     from gsdf_registration import rigid
+    from gsdf_registration.benchmark.starts import landmark_places
     from gsdf_registration.landmarks import pose_from_landmarks
 
     T = rigid.exp(np.concatenate([rng.uniform(-1.5, 1.5, 3), rng.uniform(-1.0, 1.0, 3)]))
@@ -184,17 +184,6 @@ def drawn(surface: Array, near: np.ndarray, n: int,
     off *= LANDMARK_ERROR / np.linalg.norm(off, axis=1, keepdims=True)
     guess, _ = pose_from_landmarks(marks, rigid.transform(T, marks) + off)
     return T, rigid.transform(T, points) + NOISE * rng.normal(size=points.shape), guess
-
-
-def landmark_places(surface: Array, centre: Array) -> Array:
-    """Return three surface points (3, 3) within reach, far from one another and from one line."""
-    import numpy as np
-
-    within = surface[np.linalg.norm(surface - centre, axis=1) < LANDMARKS_WITHIN]
-    first = within[np.argmax(np.linalg.norm(within - centre, axis=1))]
-    second = within[np.argmax(np.linalg.norm(within - first, axis=1))]
-    third = within[np.argmax(np.linalg.norm(np.cross(within - first, second - first), axis=1))]
-    return np.stack([first, second, third])
 
 
 def seconds_a_pass(bone: Field, points: Array) -> float:
