@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SHARE = 'package://gsdf_registration/bags'
 RATE = 6.0      # times as fast as recorded
-STARTUP = 120.0     # s; the first start ever compiles the kernels and builds the field
+STARTUP = 240.0     # s; the first start ever compiles the kernels and builds the field
 PATIENCE = 15.0     # s
 REPORT = 'out/demo_report.html'
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from ros_support import ROOT
 
-pytestmark = pytest.mark.ros
+# on a clean clone the node compiles all its kernels first
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]
 
 
 def test_the_demonstration_finds_the_bone(tmp_path: Path) -> None:
