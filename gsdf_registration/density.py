@@ -17,6 +17,8 @@ MIN_NEIGHBOURS = 4      # of a point in a stroke: samples 0.3-0.6 mm apart have 
 MIN_CLUSTER = 12        # points in a stroke
 SIFT = 10               # cubes along the radius
 CROWDED = 0.9           # of the median count of neighbours
+NEAREST, LEFT_OUT = 0.2, 0.4    # shares of the points that make a part, or are kept out of one
+LEAST = 20              # points in a part, if there are so many
 
 
 def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
@@ -38,8 +40,8 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
 
     """
     # one of each small cube: a resting tip must not slow this down
-    first, cube = _cubes(points, radius / SIFT)
-    sifted = points[first]
+    chosen, cube = _one_a_cube(points, radius / SIFT)
+    sifted = points[chosen]
     tree = cKDTree(sifted)
     neighbours = tree.query_ball_point(sifted, radius, return_length=True) - 1
     dense = neighbours >= _least_neighbours(neighbours)
@@ -121,14 +123,30 @@ def thinned(points: Array, spacing: float) -> NDArray[np.intp]:
     """
     Return the indices of one point for each cube of edge ``spacing``.
 
-    The one nearest to the mean of its cube.
+    The one nearest to the middle of its cube.
     """
-    _, cube = _cubes(points, spacing)
-    size = np.bincount(cube)
-    mean = np.stack([np.bincount(cube, points[:, a]) / size for a in range(3)], axis=1)
-    off = ((points - mean[cube]) ** 2).sum(axis=1)
-    order = np.lexsort((off, cube))
-    return order[np.r_[True, np.diff(cube[order]) > 0]]
+    return _one_a_cube(points, spacing)[0]
+
+
+def parts(points: Array, count: int) -> list[Array]:
+    """
+    Return all points and, round each of ``count`` places, the nearest, and all but the nearest.
+
+    Where one other thing was touched, some place lies on it and the rest is free of it; where there
+    are several, what lies nearest to some place is.
+
+    Parameters
+    ----------
+    points : (n, 3) float
+
+    """
+    near = max(round(NEAREST * len(points)), LEAST)
+    left = max(min(round(LEFT_OUT * len(points)), len(points) - LEAST), 0)
+    found = [points]
+    for seed in spread_sample(points, count):
+        ranked = points[np.argsort(((points - points[seed])**2).sum(axis=1), kind='stable')]
+        found += [ranked[:near], ranked[left:]]
+    return found
 
 
 def own_axes(points: Array) -> Array:
@@ -146,11 +164,13 @@ def own_axes(points: Array) -> Array:
     return from_rt(axes, -axes @ centre)
 
 
-def _cubes(points: Array, edge: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first point in each cube along the points' own axes, and the cube of each."""
-    cells = np.floor(transform(own_axes(points), points) / edge).astype(np.int64)
-    _, first, cube = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    return first, cube.ravel()
+def _one_a_cube(points: Array, edge: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return a point of each cube along the points' own axes, and the cube of each point."""
+    place = transform(own_axes(points), points) / edge
+    cell = np.floor(place)
+    cube = np.unique(cell.astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    order = np.lexsort((((place - cell - 0.5)**2).sum(axis=1), cube))
+    return order[np.r_[True, np.diff(cube[order]) > 0]], cube
 
 
 def first_of_each(points: Array) -> NDArray[np.bool_]:
