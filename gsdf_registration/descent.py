@@ -10,15 +10,13 @@ surface, which is nothing to a search.
 
 from __future__ import annotations
 
-import math
-
 import numba as nb
 import numpy as np
 
 from gsdf_registration.field.sample import CELLS, NODES
-from gsdf_registration.solver.gauss_newton import kernel, solve_cholesky, update
+from gsdf_registration.solver.gauss_newton import kernel, solve_cholesky, step_of, update
 
-LARGEST_TURN = 0.5  # rad, of a step
+LARGEST_TURN, LARGEST_SHIFT = 0.5, 0.1      # rad and m, of a step
 
 # Sums may be reordered, or they could not be vectorized; the order is the same in every run.
 _inlined = nb.njit(nogil=True, cache=True, error_model='numpy', forceinline=True,
@@ -39,11 +37,14 @@ def glance(field, points, rotations, places, scale, cost):
     scale : m, at which a residual's weight has fallen to a quarter
     """
     R, t = np.empty((3, 3)), np.empty(3)
-    A, b, dx = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    A, b, dx = np.empty((6, 6)), np.empty(6), np.empty(6)
     c2 = _f(scale * scale)
     for i in range(len(rotations)):
         for j in range(len(places)):
-            R[:], t[:] = rotations[i], places[j]
+            for a in range(3):      # slices would triple the time to compile
+                t[a] = places[j, a]
+                for k in range(3):
+                    R[a, k] = rotations[i, a, k]
             _normal_equations(field, False, points, R, t, c2, A, b)
             _step(A, b, dx, R, t)
             cost[i * len(places) + j] = _cost(field, False, points, R, t, c2)
@@ -80,9 +81,10 @@ def _step(A, b, dx, R, t):
         A[i, i] *= 1.001    # so that a patch of a sphere slides no farther than it must
     if not solve_cholesky(A, b, dx):
         return False
-    turn = math.sqrt(dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2])
-    if turn > LARGEST_TURN:
-        dx *= LARGEST_TURN / turn
+    turn, shift = step_of(dx)
+    long = max(turn / LARGEST_TURN, shift / LARGEST_SHIFT)
+    if long > 1.0:
+        dx /= long
     update(R, t, dx)
     return True
 

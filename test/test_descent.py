@@ -150,3 +150,14 @@ def test_a_glance_costs_the_right_start_least() -> None:
     assert np.isfinite(cost).all() and np.argmin(cost) == 7 * 10 + 4
     np.testing.assert_array_equal(rotations, kept[0])
     np.testing.assert_array_equal(places, kept[1])
+
+
+@pytest.mark.parametrize('away', [1.0, 1e3, 1e6])
+def test_however_far_points_and_poses_stay_finite(away: float) -> None:
+    points, centre = centred(40)
+    points[0] *= away
+    R = np.tile(np.eye(3), (5, 1, 1))
+    t = centre + away * np.random.default_rng(0).normal(size=(5, 3))
+    cost = np.zeros(5)
+    descend(bone_field().arrays, True, columns(points), R, t, SCALES, cost)
+    assert np.isfinite(R).all() and np.isfinite(t).all() and np.isfinite(cost).all()
