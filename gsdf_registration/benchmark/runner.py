@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import multiprocessing
 import os
 import signal
@@ -110,7 +111,7 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 @contextmanager
 def _progress(label: str, total: int, done: int) -> Iterator[Callable[[], None]]:
     """Show a bar while on a terminal; what is yielded moves it on by one."""
-    if not sys.stderr.isatty():
+    if not sys.stderr.isatty() or importlib.util.find_spec('rich') is None:
         yield lambda: None
         return
     from rich.console import Console
