@@ -128,9 +128,9 @@ class Collection:
         """Number of strokes that hold points."""
         return len(self._strokes)
 
-    def arrays(self) -> Points:
-        """Return a copy of the points held."""
-        return Points(*(column[:self._size].copy() for column in self._points))
+    def arrays(self, begin: int = 0) -> Points:
+        """Return a copy of the points held, from row ``begin`` on."""
+        return Points(*(column[begin:self._size].copy() for column in self._points))
 
     def start_stroke(self) -> None:
         """Collect from now on; the next point of each source starts a stroke."""

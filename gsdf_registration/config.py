@@ -54,6 +54,8 @@ class ReferenceConfig:
         '',
         'PoseStamped topic of the reference array in the tracker frame; empty: none',
         fixed=True)
+    frame_id: str = _setting('reference_array', 'name of the frame of the array, in which the bone '
+                             'is then registered', fixed=True)
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,19 @@ class GateConfig:
     quality: float = _setting(0.001,
                               "a point whose tracker error exceeds this is refused; 0: don't look",
                               'm', 0.0, 0.1)
+
+
+@dataclass(frozen=True)
+class LiveConfig:
+    """The pose that is kept up while points come in."""
+
+    enabled: bool = _setting(True, 'whether to keep a pose up while points come in')
+    max_rate: float = _setting(100.0, 'the live pose is found and published this often at most',
+                               'Hz', 0.1, 1000.0)
+    max_points: int = _setting(2000, 'points it is found from at most; of more, so many spread '
+                               'over all', '', 100, 1_000_000)
+    status_rate: float = _setting(2.0, 'status and markers follow it this often at most', 'Hz',
+                                  0.1, 50.0)
 
 
 @dataclass(frozen=True)
@@ -185,6 +200,8 @@ class SessionConfig:
     """The file of ~/save and ~/load."""
 
     path: str = _setting('registration_session.json', 'session file')
+    resume: bool = _setting(False, 'take up at start what the journal beside session.path holds, '
+                            'as after a crash', fixed=True)
 
 
 @dataclass(frozen=True)
@@ -196,6 +213,7 @@ class Config:
     reference: ReferenceConfig = field(default_factory=ReferenceConfig)
     collect: CollectConfig = field(default_factory=CollectConfig)
     gate: GateConfig = field(default_factory=GateConfig)
+    live: LiveConfig = field(default_factory=LiveConfig)
     landmarks: LandmarksConfig = field(default_factory=LandmarksConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
     solver: SolverConfig = field(default_factory=SolverConfig)

@@ -51,6 +51,8 @@ class Session:
         self._fresh = False     # whether the last registration is the latest thing that happened
         # changes with the model and when all is cleared: older solves are void
         self._era = 0
+        # changes whenever what is held does other than grow, so that who follows begins anew
+        self._revision = 0
 
     def add_point(self, stamp: float, position: Sequence[float], frame_id: str, source: str = '',
                   arrival: float | None = None, quality: float | None = None) -> Rejection | None:
@@ -92,6 +94,7 @@ class Session:
             if dropped == 0:
                 return Answer(False, 'there is no stroke to undo')
             self._fresh = False
+            self._revision += 1
             return Answer(
                 True, f'dropped the last stroke, {counted(dropped, "point")}; {self._held()}'
                 + self._pose_stands())
@@ -103,6 +106,7 @@ class Session:
             self._touches = Touches(self._config.landmarks)
             self._result, self._fresh = None, False
             self._era += 1
+            self._revision += 1
             return Answer(
                 True, 'dropped all points, landmarks and verification points' + self._pose_stands())
 
@@ -198,6 +202,7 @@ class Session:
                 self._result = self._pose_result = self._pose_points = None
                 self._touches.verifications, self._fresh = [], False
                 self._era += 1
+                self._revision += 1
             self._field = field
 
     def configure(self, config: Config) -> None:
@@ -226,6 +231,22 @@ class Session:
         """Return a copy of the points collected so far."""
         with self._lock:
             return self._collection.arrays()
+
+    def points_since(self, revision: int, count: int) -> tuple[int, str, Points]:
+        """
+        Return what has come in since ``count`` points were held, for who follows the collection.
+
+        Returns
+        -------
+        revision : int
+            If it is another than given, points were dropped or replaced and all are returned.
+        frame_id : str
+        points : Points
+
+        """
+        with self._lock:
+            begin = count if revision == self._revision else 0
+            return (self._revision, self._collection.frame_id or '', self._collection.arrays(begin))
 
     def registered_points(self) -> Points | None:
         """Return the points the last good pose was found with, in the order of its residuals."""
@@ -322,3 +343,4 @@ class Session:
             self._pose_points, self._pose_frame = None, saved.pose_frame_id
             self._fresh = saved.result is not None
             self._era += 1
+            self._revision += 1

@@ -81,7 +81,7 @@ def find_cases(files: Sequence[Path], regions: Sequence[str] = ()) -> list[Case]
     return [Case(str(file), region) for file in files for region in regions or _regions(file)]
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def bone(path: str, mirrored: bool = False) -> Field:
     """
     Return the field of a mesh, mm, or of its mirror image.
@@ -105,7 +105,7 @@ def surface(path: str, mirrored: bool = False) -> tuple[Array, np.ndarray]:
     return (vertices * MIRROR, faces[:, ::-1]) if mirrored else (vertices, faces)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=128)
 def region_patch(path: str, region: str, mirrored: bool = False) -> Patch:
     """
     Return what a wound exposes of a mesh, mm, or of its mirror image.
@@ -122,7 +122,7 @@ def region_patch(path: str, region: str, mirrored: bool = False) -> Patch:
         raise InputError(f'{path}: {error.message}') from None
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def between_scans(path: str, other: str) -> Array:
     """Return T_other_bone (4, 4) that lays one scan of a bone best on another, over all of it."""
     points, field = bone(path).surface_points[::4].astype(np.float64), bone(other)

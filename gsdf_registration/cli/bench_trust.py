@@ -71,8 +71,6 @@ def run(args: argparse.Namespace) -> int:
     chosen = list(islice(trials(cases, scenarios(args.scenarios), args.seed), args.trials))
     if not chosen:
         raise InputError('these scenarios cannot be had of these bones; give more of them')
-    # one bone after another, so that a process need not change it often
-    chosen.sort(key=lambda trial: (trial.model, trial.case.region))
     rows = run_all({trial.name: trial for trial in chosen}, partial(attempt, config=config),
                    output=Path(args.output) if args.output else None,
                    about=about(cases, args.seed, config))

@@ -5,24 +5,22 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable
-from functools import partial, wraps
+from collections.abc import Callable, Sequence
+from functools import wraps
 from typing import Any
 
-from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from gsdf_registration.field import Field
+from gsdf_registration.node.inputs import Inputs
 from gsdf_registration.node.loading import load
 from gsdf_registration.node.parameters import declare_parameters, watch_parameters
 from gsdf_registration.node.publishers import PosePublishers, StatusPublisher
-from gsdf_registration.node.qos import POINTS
 from gsdf_registration.node.services import Services
 from gsdf_registration.result import InputError
 from gsdf_registration.session import Session
 from gsdf_registration.session_status import Status
-from msg_adapters import ros
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
@@ -69,7 +67,7 @@ class RegistrationNode(LifecycleNode):
         self.cancelled = threading.Event()
         self._refused = 0
         self._field: Field | None = None
-        self._subscribed: list[Any] = []
+        self._inputs: Inputs | None = None
         self._poses: PosePublishers | None = None
         self._status = StatusPublisher(self)
         self._serving = Services(self)
@@ -96,17 +94,12 @@ class RegistrationNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the bone and open the topics."""
         config = self.config
-        if config.reference.topic:
-            raise InputError(
-                'reference.topic is not supported yet; give points in the frame of the array')
         self.show()
         self._field = load(config, self.get_logger())
         self.session = Session(config, self._field)
         self._problem = None
         self._poses = PosePublishers(self, config)
-        self._subscribed = [
-            self.create_subscription(PointStamped, topic, partial(self._on_point, topic), POINTS)
-            for topic in config.probe.topics]
+        self._inputs = Inputs(self, config)
         return super().on_configure(state)
 
     @_told
@@ -140,11 +133,11 @@ class RegistrationNode(LifecycleNode):
 
     def _release(self) -> None:
         self.cancelled.set()
-        for subscription in self._subscribed:
-            self.destroy_subscription(subscription)
+        if self._inputs is not None:
+            self._inputs.destroy()
         if self._poses is not None:
             self._poses.destroy()
-        self._subscribed, self._poses, self._field = [], None, None
+        self._inputs, self._poses, self._field = None, None, None
         self.session = Session(self.config)
 
     @property
@@ -166,10 +159,10 @@ class RegistrationNode(LifecycleNode):
         """Return the time of the node's clock in seconds."""
         return self.get_clock().now().nanoseconds * 1e-9
 
-    def _on_point(self, topic: str, message: PointStamped) -> None:
-        if self.state == 'active':
-            stamp, position, frame_id = ros.point_from(message)
-            self.session.add_point(stamp, position.tolist(), frame_id, topic, arrival=self.now())
+    def take_point(self, stamp: float, position: Sequence[float], frame_id: str,
+                   topic: str) -> None:
+        """Hand a tip position (3,), m, to the session; the node must be active."""
+        self.session.add_point(stamp, position, frame_id, topic, arrival=self.now())
 
     def _tick(self) -> None:
         status = self._session_status()
