@@ -12,48 +12,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from enum import Enum
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsdf_registration.config import GateConfig
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
+from gsdf_registration.tip_stream import AGREEING, Position, Rejection, TipStream
+
+__all__ = ['AGREEING', 'FIRST_ROOM', 'Collection', 'Points', 'Rejection', 'Stroke']
 
 # m; trackers mark a missing value with a huge number as often as with NaN (NDI: -3.7e28)
 FARTHEST = 1e6
-# this many too fast points in a row that agree with one another are the tip after all
-AGREEING = 3
 FIRST_ROOM = 1024   # points
-
-
-class Rejection(str, Enum):
-    """Why a point was not kept."""
-
-    NOT_FINITE = 'not_finite'
-    WRONG_FRAME = 'wrong_frame'
-    NOT_MONOTONIC = 'not_monotonic'
-    STALE = 'stale'
-    POOR_QUALITY = 'poor_quality'
-    NOT_COLLECTING = 'not_collecting'
-    DUPLICATE = 'duplicate'
-    TOO_FAST = 'too_fast'
-    FULL = 'full'
-
-    def __str__(self) -> str:
-        """Return the lower-case word used in JSON, logs and status."""
-        return self.value
-
-    @property
-    def is_of_sample(self) -> bool:
-        """Whether the sample itself is at fault: good for nothing, not even a landmark."""
-        return self in _OF_SAMPLE
-
-
-_OF_SAMPLE = frozenset({Rejection.NOT_FINITE, Rejection.WRONG_FRAME, Rejection.NOT_MONOTONIC,
-                        Rejection.STALE, Rejection.POOR_QUALITY})
-Position = tuple[float, float, float]
 
 
 class Points(NamedTuple):
@@ -61,26 +35,17 @@ class Points(NamedTuple):
 
     positions: Array        # (n, 3) m, frame of the session
     stamps: Array           # (n,) s, clock of their source
-    strokes: np.ndarray     # (n,) int32, rising; a number may be missing after an undo
+    strokes: np.ndarray     # (n,) int32 from 1, a number missing after an undo; rising in a source
     sources: np.ndarray     # (n,) int32
 
 
-class _Source:
-    """What must be remembered of one stream of points."""
+@dataclass
+class Stroke:
+    """A stroke: its number, its points, and what split it from the one before, if no call did."""
 
-    __slots__ = ('kept', 'on_our_clock', 'seen', 'seen_stamp', 'stamp', 'stroke', 'wild',
-                 'wild_count', 'wild_stamp')
-
-    def __init__(self) -> None:
-        self.stamp = -math.inf                      # of the last sound sample, kept or not
-        self.on_our_clock: bool | None = None       # None: not known yet
-        self.kept: Position | None = None           # the last point kept
-        self.seen: Position | None = None           # the last point believed: kept or a duplicate
-        self.seen_stamp = -math.inf
-        self.stroke: int | None = None              # None: the next point starts one
-        self.wild: Position | None = None           # the last point refused as too fast ...
-        self.wild_stamp = -math.inf
-        self.wild_count = 0                         # ... and how many in a row agree with it
+    number: int
+    points: int = 0
+    split_by: str = ''      # 'silence', 'jump', 'lift-off', 'landing' or 'touch'
 
 
 class Collection:
@@ -88,7 +53,7 @@ class Collection:
     Points of a session behind their gates, strokes numbered, refusals counted; not thread-safe.
 
     A stroke is what one source delivers between `start_stroke` and `end_stroke`; a silence longer
-    than ``gate.max_gap`` or a jump splits it.
+    than ``gate.max_gap``, a jump, or the tip lifting off or landing splits it.
 
     Parameters
     ----------
@@ -103,7 +68,9 @@ class Collection:
     def __init__(self, gate: GateConfig, max_points: int, frame_id: str = '') -> None:
         self.gate = gate
         self.max_points = max_points
+        self.collecting = False
         self._wanted_frame = frame_id
+        self._next_serial = 0
         self.clear()
 
     def clear(self) -> None:
@@ -112,12 +79,13 @@ class Collection:
         self.received = 0
         self.undone = 0
         self.counts = {str(cause): 0 for cause in Rejection}
-        self.collecting = getattr(self, 'collecting', False)
         self._points = _room_for(FIRST_ROOM)
+        self._serials = np.empty(FIRST_ROOM, np.int64)
         self._size = 0
-        self._sources: dict[int, _Source] = {}
-        self._strokes: dict[int, int] = {}      # number -> points in it
-        self._next_stroke = 0
+        self._streams: dict[int, TipStream] = {}
+        self._strokes: dict[int, Stroke] = {}
+        self._next_stroke = 1
+        self.last_stroke = 0    # of the point kept last
 
     def __len__(self) -> int:
         """Return the number of points held."""
@@ -132,30 +100,69 @@ class Collection:
         """Return a copy of the points held, from row ``begin`` on."""
         return Points(*(column[begin:self._size].copy() for column in self._points))
 
+    def serials(self) -> NDArray[np.int64]:
+        """Return a number for each point held (n,), rising, that stays when others are dropped."""
+        return self._serials[:self._size].copy()
+
     def start_stroke(self) -> None:
         """Collect from now on; the next point of each source starts a stroke."""
         self.collecting = True
-        for source in self._sources.values():
-            source.stroke = None
+        for stream in self._streams.values():
+            stream.begin_stroke()
 
     def end_stroke(self) -> None:
         """Stop collecting."""
         self.collecting = False
 
-    def undo(self) -> int:
-        """Drop the stroke begun last and return its number of points; 0 when there is none."""
+    def undo(self) -> Stroke | None:
+        """Drop the stroke begun last and return it; None when there is none."""
         if not self._strokes:
-            return 0
-        last = max(self._strokes)
-        keep = np.flatnonzero(self._points.strokes[:self._size] != last)
-        for column in self._points:
+            return None
+        last = self._strokes[max(self._strokes)]
+        self._drop(self._points.strokes[:self._size] == last.number)
+        self.undone += last.points
+        return last
+
+    def withdraw(self, source: int, since: float, place: Position, radius: float) -> int:
+        """
+        Drop what ``source`` delivered since it came to rest, and hold back what it still does.
+
+        Parameters
+        ----------
+        since : float, s, when it came to rest
+        place : (3,) m, where it rests; until it has left that by more than ``radius``, m, nothing
+            of it is kept
+
+        Returns
+        -------
+        int
+            Points dropped; they are counted as `Rejection.TOUCHED`.
+
+        """
+        mask = (self._points.sources[:self._size] == source) & (self._points.stamps[:self._size]
+                                                                >= since)
+        dropped = int(mask.sum())
+        if dropped:
+            self._drop(mask)
+            self.counts[Rejection.TOUCHED.value] += dropped
+        self._stream(source).rest(place, radius)
+        return dropped
+
+    def _drop(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the rows of ``mask`` (n,), and strokes that then hold none."""
+        numbers, sizes = np.unique(self._points.strokes[:self._size][mask], return_counts=True)
+        for number, size in zip(numbers.tolist(), sizes.tolist()):
+            if size == self._strokes[number].points:
+                del self._strokes[number]
+            else:
+                self._strokes[number].points -= size
+        for stream in self._streams.values():
+            if stream.stroke not in self._strokes:
+                stream.begin_stroke()
+        keep = np.flatnonzero(~mask)
+        for column in (*self._points, self._serials):
             column[:len(keep)] = column[keep]
         self._size = len(keep)
-        for source in self._sources.values():
-            source.stroke = None if source.stroke == last else source.stroke
-        dropped = self._strokes.pop(last)
-        self.undone += dropped
-        return dropped
 
     def add(self, stamp: float, position: Sequence[float], frame_id: str, source: int = 0,
             arrival: float | None = None, quality: float | None = None) -> Rejection | None:
@@ -187,84 +194,52 @@ class Collection:
         self.received += 1
         x, y, z = position
         point = (float(x), float(y), float(z))
-        stream = self._sources.get(source)
-        if stream is None:
-            stream = self._sources[source] = _Source()
-        cause = (self._fault_of_sample(stream, stamp, point, frame_id, arrival, quality)
-                 or self._fault_in_stream(stream, stamp, point))
+        stream = self._stream(source)
+        cause = (self._fault_of_sample(stamp, point, frame_id)
+                 or stream.fault_of_sample(stamp, arrival, quality, self.gate)
+                 or (None if self.collecting else Rejection.NOT_COLLECTING)
+                 or stream.fault_in_stream(stamp, point, self.gate)
+                 or (Rejection.FULL if self._size >= self.max_points else None))
         if cause is not None:
             self.counts[cause.value] += 1
             return cause
+        stream.keep(stamp, point, self.gate)
         self._keep(stream, source, stamp, point)
         return None
 
-    def _fault_of_sample(self, stream: _Source, stamp: float, point: Position, frame_id: str,
-                         arrival: float | None, quality: float | None) -> Rejection | None:
+    def _stream(self, source: int) -> TipStream:
+        stream = self._streams.get(source)
+        if stream is None:
+            stream = self._streams[source] = TipStream()
+        return stream
+
+    def _fault_of_sample(self, stamp: float, point: Position, frame_id: str) -> Rejection | None:
         x, y, z = point
         if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST
                 and math.isfinite(stamp)):
             return Rejection.NOT_FINITE
         if self.frame_id is None:
             self.frame_id = frame_id
-        if frame_id != self.frame_id:
-            return Rejection.WRONG_FRAME
-        if stamp <= stream.stamp:
-            return Rejection.NOT_MONOTONIC
-        if arrival is not None:
-            if stream.on_our_clock is None:
-                stream.on_our_clock = abs(arrival - stamp) <= self.gate.max_age
-            if stream.on_our_clock and arrival - stamp > self.gate.max_age:
-                return Rejection.STALE
-        if quality is not None and 0.0 < self.gate.quality < quality:
-            return Rejection.POOR_QUALITY
-        if stamp - stream.stamp > self.gate.max_gap:
-            stream.stroke = None
-        stream.stamp = stamp
-        return None
+        return Rejection.WRONG_FRAME if frame_id != self.frame_id else None
 
-    def _fault_in_stream(self, stream: _Source, stamp: float, point: Position) -> Rejection | None:
-        if not self.collecting:
-            return Rejection.NOT_COLLECTING
-        if stream.kept is not None and math.dist(point, stream.kept) <= self.gate.min_distance:
-            stream.seen, stream.seen_stamp, stream.wild_count = point, stamp, 0
-            return Rejection.DUPLICATE
-        if stream.seen is not None and self._too_fast(stream.seen, stream.seen_stamp, point, stamp):
-            # One wild point must not lock out all good ones after it, nor a lost track what follows
-            # it: a silence, or a few points that agree, and the tip is where they say.
-            lost = stamp - stream.seen_stamp > self.gate.max_gap
-            if not lost and not self._agrees(stream, point, stamp):
-                return Rejection.TOO_FAST
-            stream.stroke = None
-        return Rejection.FULL if self._size >= self.max_points else None
-
-    def _too_fast(self, a: Position, stamp_a: float, b: Position, stamp_b: float) -> bool:
-        return math.dist(a, b) > self.gate.max_speed * (stamp_b - stamp_a)
-
-    def _agrees(self, stream: _Source, point: Position, stamp: float) -> bool:
-        """Tell whether this too fast point and the ones just before it make one plausible path."""
-        alone = stream.wild_count == 0 or stream.wild is None or self._too_fast(
-            stream.wild, stream.wild_stamp, point, stamp)
-        stream.wild_count = 1 if alone else stream.wild_count + 1
-        stream.wild, stream.wild_stamp = point, stamp
-        return stream.wild_count >= AGREEING
-
-    def _keep(self, stream: _Source, source: int, stamp: float, point: Position) -> None:
+    def _keep(self, stream: TipStream, source: int, stamp: float, point: Position) -> None:
         if stream.stroke is None:
             stream.stroke = self._next_stroke
+            self._strokes[stream.stroke] = Stroke(stream.stroke, 0, stream.split_by)
             self._next_stroke += 1
         row = self._size
-        if row == len(self._points.stamps):
+        if row == len(self._serials):
             self._points = Points(*(
                 np.concatenate([column, np.empty_like(column)]) for column in self._points))
+            self._serials = np.concatenate([self._serials, np.empty_like(self._serials)])
         self._points.positions[row] = point
         self._points.stamps[row] = stamp
-        self._points.strokes[row] = stream.stroke
+        self._points.strokes[row] = self.last_stroke = stream.stroke
         self._points.sources[row] = source
+        self._serials[row] = self._next_serial
+        self._next_serial += 1
         self._size = row + 1
-        self._strokes[stream.stroke] = self._strokes.get(stream.stroke, 0) + 1
-        stream.kept = stream.seen = point
-        stream.seen_stamp = stamp
-        stream.wild_count = 0
+        self._strokes[stream.stroke].points += 1
 
     def want_frame(self, frame_id: str) -> None:
         """Expect points in this frame from now on; empty: in that of the next one."""
@@ -292,9 +267,12 @@ class Collection:
         self._points = Points(*(
             np.concatenate([column, room]) for column, room in zip(points, _room_for(FIRST_ROOM))))
         self._size = len(points.stamps)
+        self._serials = self._next_serial + np.arange(self._size + FIRST_ROOM)
+        self._next_serial += self._size
         numbers, sizes = np.unique(points.strokes, return_counts=True)
-        self._strokes = {int(number): int(size) for number, size in zip(numbers, sizes)}
-        self._next_stroke = int(numbers.max()) + 1 if len(numbers) else 0
+        self._strokes = {number: Stroke(number, size)
+                         for number, size in zip(numbers.tolist(), sizes.tolist())}
+        self._next_stroke = max(self._strokes, default=0) + 1
         self.counts.update(counts)
         self.received = self._size + sum(self.counts.values())
 

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import permutations
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,6 +15,9 @@ from gsdf_registration.rigid import Array
 
 MIN_SEPARATION = 0.005  # m: landmarks nearer than their usual touch error are one
 MIN_SPREAD = 0.1        # width over length of their triangle: less is a line
+# m: two touches of some 4 mm error each lie hardly farther from or nearer to one another than this
+DISAGREEMENT = 0.012
+MOST_ORDERED = 5        # landmarks of which every order is tried
 
 
 def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, float]:
@@ -65,3 +71,40 @@ def _refuse_degenerate(points: Array, where: str) -> None:
         raise InputError(
             f'the landmarks {where} lie on a line, which leaves the rotation about it free; touch '
             'a point off the line')
+
+
+def disagreement(names: Sequence[str], model: Array, tracker: Array) -> str:
+    """
+    Tell whether the distances between landmarks are on the bone what they are on the model.
+
+    They do not depend on the pose, so that a wrong touch shows before there is one.
+
+    Parameters
+    ----------
+    names : k of them
+    model, tracker : (k, 3) float, metres, bone frame and as touched
+
+    Returns
+    -------
+    str
+        What is wrong, naming the order they were touched in or the one landmark without which the
+        others agree; empty if nothing is.
+
+    """
+    apart = [np.linalg.norm(points[:, None] - points[None], axis=2) for points in (model, tracker)]
+    off = np.abs(apart[0] - apart[1])
+    if off.max() <= DISAGREEMENT:
+        return ''
+    for order in permutations(range(len(names))) if 2 < len(names) <= MOST_ORDERED else ():
+        if np.abs(apart[0][np.ix_(order, order)] - apart[1]).max() <= DISAGREEMENT:
+            return ('but it looks as if they were touched in this order: '
+                    + ', '.join(f'"{names[k]}"' for k in order))
+    odd = [k for k in range(len(names))
+           if np.delete(np.delete(off, k, 0), k, 1).max() <= DISAGREEMENT]
+    if len(odd) == 1:
+        k = odd[0]
+        return (f'but "{names[k]}" lies up to {1e3 * off[k].max():.0f} mm off as seen from the '
+                'others: was it another place?')
+    i, j = sorted(divmod(int(np.argmax(off)), len(names)))
+    return (f'but "{names[i]}" and "{names[j]}" are {1e3 * apart[1][i, j]:.0f} mm '
+            f'apart, {1e3 * apart[0][i, j]:.0f} mm on the model: were other places touched?')

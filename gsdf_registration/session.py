@@ -13,15 +13,18 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from gsdf_registration.collection import Collection, Points, Rejection
+from gsdf_registration.collection import Points, Rejection
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
+from gsdf_registration.holdings import Holdings
 from gsdf_registration.registration import register
 from gsdf_registration.result import InputError, Reason, RegistrationResult
 from gsdf_registration.rigid import Array
+from gsdf_registration.session_events import Listener
 from gsdf_registration.session_record import SessionRecord
-from gsdf_registration.session_status import Status, counted, sentence
-from gsdf_registration.touches import Answer, CapturedLandmark, Touches
+from gsdf_registration.session_status import Status, counted, held, pose_stands, status_of
+from gsdf_registration.standing_pose import StandingPose
+from gsdf_registration.touches import Answer, CapturedLandmark
 
 __all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
 
@@ -29,30 +32,31 @@ LandmarkPairs = tuple[Array, Array]     # (k, 3) model, bone frame; (k, 3) track
 
 
 class Session:
-    """
-    One bone, one probe or several, one operator; thread-safe.
-
-    ``field`` is the bone's gradient-SDF; it may come later, by `set_model`.
-    """
+    """One bone, whose field may come later; one probe or several; one operator; thread-safe."""
 
     def __init__(self, config: Config, field: Field | None = None) -> None:
         self._lock = threading.Lock()
-        self._config = config
-        self._field = field
-        self._collection = Collection(config.gate, config.collect.max_points, config.probe.frame_id)
-        self._collection.collecting = config.collect.automatic
-        self._touches = Touches(config.landmarks)
-        self._source_of: dict[str, int] = {}
+        self._holds = Holdings(config, field)
         self._solving = False
-        self._result: RegistrationResult | None = None
-        self._pose_result: RegistrationResult | None = None
-        self._pose_points: Points | None = None
-        self._pose_frame = ''
         self._fresh = False     # whether the last registration is the latest thing that happened
+        self._remark = ''
         # changes with the model and when all is cleared: older solves are void
         self._era = 0
-        # changes whenever what is held does other than grow, so that who follows begins anew
-        self._revision = 0
+
+    def listen(self, listener: Listener) -> None:
+        """
+        Tell ``listener`` every change of what is held, see `session_events`.
+
+        It is called with the session locked, in the thread that changes it: it must not call the
+        session, nor raise, nor take long.
+        """
+        with self._lock:
+            self._holds.listen(listener)
+
+    def remark(self, text: str) -> None:
+        """Have the status say this too, until all is cleared or the next registration."""
+        with self._lock:
+            self._remark = text
 
     def add_point(self, stamp: float, position: Sequence[float], frame_id: str, source: str = '',
                   arrival: float | None = None, quality: float | None = None) -> Rejection | None:
@@ -62,57 +66,52 @@ class Session:
         The tip is watched for landmarks and verification whether or not points are being collected.
         """
         with self._lock:
-            number = self._source_of.setdefault(source, len(self._source_of))
-            rejection = self._collection.add(stamp, position, frame_id, number, arrival, quality)
-            if rejection is None or not rejection.is_of_sample:
-                x, y, z = position
-                self._touches.tip.add(stamp, (float(x), float(y), float(z)), number, arrival)
-            return rejection
+            return self._holds.add_point(stamp, position, frame_id, source, arrival, quality)
 
     def count_dropped(self, dropped: Mapping[str, int]) -> None:
         """Count points that were refused before they came here, by cause."""
         with self._lock:
-            for cause, count in dropped.items():
-                counts = self._collection.counts
-                counts[cause] = counts.get(cause, 0) + count
-                self._collection.received += count
+            self._holds.count_dropped(dropped)
 
     def collect(self, on: bool) -> Answer:
         """Start a stroke, or end it."""
         with self._lock:
-            if on:
-                self._collection.start_stroke()
-                self._fresh = False
-                return Answer(True, f'collecting a new stroke; {self._held()}')
-            self._collection.end_stroke()
-            return Answer(True, f'not collecting; {self._held()}')
+            self._holds.collect(on)
+            self._fresh &= not on
+            return Answer(True, f'{"collecting a new stroke" if on else "not collecting"}; '
+                          + held(self._holds))
 
     def undo(self) -> Answer:
-        """Drop the stroke begun last; a pose found with it stands until the next registration."""
+        """
+        Drop the stroke begun last; a pose found with it stands until the next registration.
+
+        What was split automatically is dropped part by part, and the answer says so.
+        """
         with self._lock:
-            dropped = self._collection.undo()
-            if dropped == 0:
+            dropped = self._holds.undo()
+            if dropped is None:
                 return Answer(False, 'there is no stroke to undo')
             self._fresh = False
-            self._revision += 1
+            part = ''
+            if dropped.split_by:
+                part = (f', which a {dropped.split_by} had split off the one before: undo again '
+                        'to drop that too')
             return Answer(
-                True, f'dropped the last stroke, {counted(dropped, "point")}; {self._held()}'
-                + self._pose_stands())
+                True, f'dropped the last stroke, {counted(dropped.points, "point")}{part}; '
+                f'{held(self._holds)}' + pose_stands(self._holds))
 
     def clear(self) -> Answer:
         """Drop all points, landmarks and verification points; the last good pose stands."""
         with self._lock:
-            self._collection.clear()
-            self._touches = Touches(self._config.landmarks)
-            self._result, self._fresh = None, False
+            self._holds.clear()
+            self._fresh, self._remark = False, ''
             self._era += 1
-            self._revision += 1
-            return Answer(
-                True, 'dropped all points, landmarks and verification points' + self._pose_stands())
+            return Answer(True, 'dropped all points, landmarks and verification points'
+                          + pose_stands(self._holds))
 
     def capture_landmark(self, now: float | None = None) -> Answer:
         """
-        Take the resting tip as the next landmark of ``landmarks.names``.
+        Take the resting tip as the next landmark of ``landmarks.names``; it is not for the fit.
 
         Parameters
         ----------
@@ -122,7 +121,7 @@ class Session:
 
         """
         with self._lock:
-            return self._touches.capture(now)
+            return self._holds.capture_landmark(now)
 
     def register(self, landmarks: LandmarkPairs | None = None, T_tracker_bone: Array | None = None,
                  cancelled: Callable[[], bool] | None = None,
@@ -147,18 +146,19 @@ class Session:
             A refusal at once, not remembered, while another registration runs.
 
         """
+        holds = self._holds
         with self._lock:
             if self._solving:
                 return RegistrationResult.refused(
                     Reason.BAD_INPUT, 'a registration is running already; wait for its answer')
-            field, config, era = self._field, self._config, self._era
+            field, config, era = holds.field, holds.config, self._era
             if field is None:
-                return RegistrationResult.refused(Reason.NO_MODEL,
-                                                  'no bone model is loaded; set model.path')
-            points, received = self._collection.arrays(), self._collection.received
-            frame_id = self._collection.frame_id or ''
+                return RegistrationResult.refused(
+                    Reason.NO_MODEL, 'no bone model is loaded; set model.path')
+            points, serials = holds.collection.arrays(), holds.collection.serials()
+            received, frame_id = holds.collection.received, holds.collection.frame_id or ''
             if landmarks is None:
-                landmarks = self._touches.pairs
+                landmarks = holds.touches.pairs
             self._solving = True
         try:
             result = register(points.positions,
@@ -177,33 +177,26 @@ class Session:
             if self._era != era:
                 return RegistrationResult.refused(
                     Reason.NOT_CONVERGED, 'points or model were dropped meanwhile; register again')
-            result = dataclasses.replace(result, received=received)
-            self._result, self._fresh = result, True
-            if result.success:
-                self._pose_result, self._pose_points, self._pose_frame = result, points, frame_id
-            return result
+            self._fresh, self._remark = True, ''
+            return holds.register(StandingPose(dataclasses.replace(result, received=received),
+                                               points, serials, frame_id))
 
     def verify(self, now: float | None = None) -> Answer:
-        """Measure how far the resting tip is from the registered surface; never used in the fit."""
+        """
+        Measure how far the resting tip is from the registered surface; never used in the fit.
+
+        What the tip delivers while it rests there is taken out of the collection again.  Where an
+        earlier verification point is touched again, the answer says how far it has moved since.
+        """
         with self._lock:
-            if self._pose_result is None or self._field is None:
-                return Answer(False, 'there is no registration to verify; register first')
-            if self._collection.frame_id not in (None, self._pose_frame):
-                return Answer(
-                    False, f'the tip is in frame "{self._collection.frame_id}", but the bone was '
-                    f'registered in "{self._pose_frame}"; register again')
-            return self._touches.verify(self._field, self._pose_result,
-                                        self._config.limits.verification, now)
+            return self._holds.verify(now)
 
     def set_model(self, field: Field) -> None:
         """Take another bone; the points stay, a pose of another bone does not."""
         with self._lock:
-            if self._field is None or self._field.bone_sha256 != field.bone_sha256:
-                self._result = self._pose_result = self._pose_points = None
-                self._touches.verifications, self._fresh = [], False
+            if self._holds.set_model(field):
+                self._fresh = False
                 self._era += 1
-                self._revision += 1
-            self._field = field
 
     def configure(self, config: Config) -> None:
         """
@@ -212,25 +205,29 @@ class Session:
         Raises
         ------
         InputError
-            When ``probe.frame_id`` changes with points or landmarks held; nothing is changed then.
+            When the frame of the points changes while any are held; nothing is changed then.
 
         """
         with self._lock:
-            wanted = config.probe.frame_id
-            if wanted != self._config.probe.frame_id:
-                if len(self._collection) or self._touches.landmarks:
-                    raise InputError(
-                        'points or landmarks are held; clear before changing probe.frame_id')
-                self._collection.want_frame(wanted)
-            self._collection.gate = config.gate
-            self._collection.max_points = config.collect.max_points
-            self._touches.configure(config.landmarks)
-            self._config = config
+            self._holds.configure(config)
+
+    @property
+    def collecting(self) -> bool:
+        """Whether points are being collected."""
+        with self._lock:
+            return self._holds.collection.collecting
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the last good pose was found with points that have been dropped since."""
+        with self._lock:
+            pose = self._holds.pose
+            return pose is not None and pose.outdated(self._holds.collection.serials())
 
     def points(self) -> Points:
         """Return a copy of the points collected so far."""
         with self._lock:
-            return self._collection.arrays()
+            return self._holds.collection.arrays()
 
     def points_since(self, revision: int, count: int) -> tuple[int, str, Points]:
         """
@@ -244,56 +241,25 @@ class Session:
         points : Points
 
         """
+        holds = self._holds
         with self._lock:
-            begin = count if revision == self._revision else 0
-            return (self._revision, self._collection.frame_id or '', self._collection.arrays(begin))
+            begin = count if revision == holds.revision else 0
+            return (holds.revision, holds.collection.frame_id or '', holds.collection.arrays(begin))
 
     def registered_points(self) -> Points | None:
         """Return the points the last good pose was found with, in the order of its residuals."""
         with self._lock:
-            return self._pose_points
+            return None if self._holds.pose is None else self._holds.pose.points
 
     def landmarks(self) -> tuple[CapturedLandmark, ...]:
         """Return the landmarks captured so far."""
         with self._lock:
-            return tuple(self._touches.landmarks)
+            return tuple(self._holds.touches.landmarks)
 
     def status(self) -> Status:
         """Return the session at a glance."""
         with self._lock:
-            collection, state = self._collection, self._state()
-            return Status(state=state,
-                          message=sentence(state, collection, self._result,
-                                           self._held() + self._pose_stands(),
-                                           self._touches.to_come),
-                          received=collection.received,
-                          kept=len(collection),
-                          rejected=dict(collection.counts),
-                          strokes=collection.strokes,
-                          landmarks=len(self._touches.landmarks),
-                          frame_id=collection.frame_id,
-                          reason=None if self._result is None else self._result.reason,
-                          result=self._result,
-                          pose_result=self._pose_result,
-                          pose_frame_id=self._pose_frame)
-
-    def _state(self) -> str:
-        if self._field is None:
-            return 'no_model'
-        if self._solving:
-            return 'solving'
-        if self._fresh and self._result is not None:
-            return 'registered' if self._result.success else 'refused'
-        return 'collecting' if self._collection.collecting else 'idle'
-
-    def _held(self) -> str:
-        points, strokes = len(self._collection), self._collection.strokes
-        return f'{counted(points, "point")} in {counted(strokes, "stroke")} held'
-
-    def _pose_stands(self) -> str:
-        if self._pose_result is None:
-            return ''
-        return '; the last good pose stands until the next registration'
+            return status_of(self._holds, self._solving, self._fresh, self._remark)
 
     def to_dict(self) -> dict[str, Any]:
         """
@@ -306,16 +272,12 @@ class Session:
 
         """
         with self._lock:
-            if self._field is None:
+            if self._holds.field is None:
                 raise InputError(
                     'there is no bone model, so there is no session to save; set model.path')
-            field, config = self._field, self._config
-            record = SessionRecord(self._collection.frame_id, list(self._source_of),
-                                   self._collection.arrays(), dict(self._collection.counts),
-                                   list(self._touches.landmarks), list(self._touches.verifications),
-                                   self._result, self._pose_result, self._pose_frame)
+            record, config = self._holds.record(), self._holds.config
         # outside the lock: it takes a while with many points
-        return record.to_dict(field, config)
+        return record.to_dict(config)
 
     def restore(self, record: Mapping[str, Any]) -> None:
         """
@@ -327,20 +289,12 @@ class Session:
             When it belongs to another bone, or is damaged; nothing is changed then.
 
         """
+        holds = self._holds
         with self._lock:
-            if self._field is None:
+            if holds.field is None:
                 raise InputError('load the bone model before the session; set model.path')
             if self._solving:
-                raise InputError(
-                    'a registration is running; wait for its answer before loading a session')
-            saved = SessionRecord.from_dict(record, self._field)
-            self._collection.refill(saved.points, saved.frame_id, saved.rejected)
-            self._touches = Touches(self._config.landmarks)
-            self._source_of = {name: number for number, name in enumerate(saved.source_names)}
-            self._touches.landmarks = saved.landmarks
-            self._touches.verifications = saved.verifications
-            self._result, self._pose_result = saved.result, saved.pose_result
-            self._pose_points, self._pose_frame = None, saved.pose_frame_id
-            self._fresh = saved.result is not None
+                raise InputError('a registration is running; wait for its answer, then load')
+            holds.restore(SessionRecord.from_dict(record, holds.field.bone_sha256))
+            self._fresh, self._remark = holds.result is not None, ''
             self._era += 1
-            self._revision += 1

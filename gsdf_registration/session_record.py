@@ -1,35 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A session in plain lists and numbers, bound to its bone: what is saved and loaded."""
+"""
+A session in plain lists and numbers, bound to its bone: what is saved and loaded.
+
+SI units, the frames by name.  ``points`` has a row for each point held: its stroke (from 1), the
+number of its source in ``sources`` (from 0), its stamp, its position in frame ``frames.points``,
+and, if it was given to the last good registration, its residual (null: left out as a stray) and its
+weight there.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+import numba
 import numpy as np
 
 from gsdf_registration import __version__
 from gsdf_registration.collection import Points
 from gsdf_registration.config import Config
-from gsdf_registration.field import Field
 from gsdf_registration.result import InputError, Reason, RegistrationResult, WeakestDirection
 from gsdf_registration.rigid import Array, is_rigid
-from gsdf_registration.touches import CapturedLandmark, Verification
+from gsdf_registration.touches import CapturedLandmark
+from gsdf_registration.verification import Verification
 
-_PER_POINT = ('residuals_m', 'weights', 'history')      # found anew by registering the same points
+COLUMNS = ('stroke', 'source', 'stamp', 'x', 'y', 'z', 'residual', 'weight')
+STROKE, SOURCE, STAMP, FIT = 0, 1, 2, 6
+_PER_POINT = ('residuals_m', 'weights', 'history')      # the first two stand with the points
 
 
 @dataclass(frozen=True)
 class SessionRecord:
     """All that a session must remember."""
 
+    model_sha256: str | None            # None: points were collected before a bone was loaded
     frame_id: str | None
+    collecting: bool
     source_names: list[str]
-    points: Points
+    points: Points                      # n of them
+    residuals: Array                    # (n,) m, at the last good pose; NaN: not known
+    weights: Array                      # (n,) NaN: the point was not given to that registration
     rejected: dict[str, int]
     landmarks: list[CapturedLandmark]
     verifications: list[Verification]
@@ -37,17 +52,23 @@ class SessionRecord:
     pose_result: RegistrationResult | None
     pose_frame_id: str
 
-    def to_dict(self, field: Field, config: Config) -> dict[str, Any]:
-        """Return the record with its model, the settings and the version, ready for JSON."""
-        head = {
-            'version': __version__, 'model_sha256': field.bone_sha256, 'parameters': config.flat()
-        }
-        return head | {key: plain(value) for key, value in vars(self).items()}
+    def to_dict(self, config: Config) -> dict[str, Any]:
+        """Return the record with the settings and the versions, ready for JSON."""
+        return empty_record(self.model_sha256) | {
+            'versions': {'gsdf_registration': __version__, 'python': platform.python_version(),
+                         'numpy': np.__version__, 'numba': numba.__version__},
+            'frames': {'points': self.frame_id, 'pose': self.pose_frame_id,
+                       'bone': config.model.frame_id},
+            'collecting': self.collecting, 'sources': self.source_names,
+            'rejected': self.rejected, 'landmarks': plain(self.landmarks),
+            'verifications': plain(self.verifications), 'result': plain(self.result),
+            'pose_result': plain(self.pose_result), 'parameters': config.flat(),
+            'points': _rows(self.points, fit_of(self.residuals, self.weights))}
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any], field: Field) -> SessionRecord:
+    def from_dict(cls, record: Mapping[str, Any], model_sha256: str) -> SessionRecord:
         """
-        Return the record of a session with the bone of ``field``.
+        Return the record of a session with the bone of that hash.
 
         Raises
         ------
@@ -55,33 +76,47 @@ class SessionRecord:
             When it is of another bone, or damaged.
 
         """
-        if record.get('model_sha256') != field.bone_sha256:
-            raise InputError(
-                'the session belongs to another bone model; load the model it was made with')
         try:
+            if record['model_sha256'] not in (None, model_sha256):
+                raise InputError(
+                    'the session belongs to another bone model; load the model it was made with')
+            frame_id, sources = record['frames']['points'], record['sources']
+            points, residuals, weights = _columns(record['points'], len(sources))
             return cls(
-                frame_id=None if record['frame_id'] is None else str(record['frame_id']),
-                source_names=[str(name) for name in record['source_names']],
-                points=_points(record['points']),
+                model_sha256=record['model_sha256'],
+                frame_id=None if frame_id is None else str(frame_id),
+                collecting=bool(record['collecting']),
+                source_names=[str(name) for name in sources],
+                points=points, residuals=residuals, weights=weights,
                 rejected={str(cause): int(count) for cause, count in record['rejected'].items()},
                 landmarks=[CapturedLandmark(
                     str(item['name']), _array(item['model']), _array(item['tracker']),
                     float(item['spread_m']), float(item['stamp'])) for item in record['landmarks']],
-                verifications=[Verification(
-                    _array(item['position']), float(item['distance_m']), float(item['stamp']))
-                    for item in record['verifications']],
+                verifications=[_verification(item) for item in record['verifications']],
                 result=_result(record['result']), pose_result=_result(record['pose_result']),
-                pose_frame_id=str(record['pose_frame_id']))
+                pose_frame_id=str(record['frames']['pose']))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(f'the session is damaged: {type(error).__name__} {error}') from None
+
+
+def empty_record(model_sha256: str | None) -> dict[str, Any]:
+    """Return the record of a session that holds nothing; its keys are those of every record."""
+    return {'versions': {}, 'model_sha256': model_sha256,
+            'frames': {'points': None, 'pose': '', 'bone': ''}, 'collecting': False,
+            'sources': [], 'rejected': {}, 'landmarks': [], 'verifications': [], 'result': None,
+            'pose_result': None, 'parameters': {}, 'columns': list(COLUMNS), 'points': []}
+
+
+def fit_of(residuals: Array, weights: Array) -> list[list[float | None] | None]:
+    """Return [residual, weight] of each point (n,), None where it was not registered."""
+    return [None if weight != weight else [None if residual != residual else residual, weight]
+            for residual, weight in zip(residuals.round(7).tolist(), weights.round(4).tolist())]
 
 
 def plain(value: Any) -> Any:
     """Return dataclasses, arrays, enums as dicts, lists and numbers; non-finite numbers as None."""
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, Points):
-        return {key: column.tolist() for key, column in value._asdict().items()}
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -95,13 +130,31 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _points(columns: Mapping[str, Any]) -> Points:
-    points = Points(np.array(columns['positions'], np.float64).reshape(-1, 3),
-                    np.array(columns['stamps'], np.float64), np.array(columns['strokes'], np.int32),
-                    np.array(columns['sources'], np.int32))
-    if len({len(column) for column in points}) != 1 or not np.isfinite(points.positions).all():
-        raise ValueError('its points do not match their stamps and strokes')
-    return points
+def _rows(points: Points, fit: list[list[float | None] | None]) -> list[list[Any]]:
+    return [[stroke, source, stamp, *position, *(known or (None, None))]
+            for stroke, source, stamp, position, known in zip(
+                points.strokes.tolist(), points.sources.tolist(), points.stamps.tolist(),
+                points.positions.tolist(), fit)]
+
+
+def _columns(rows: list[list[Any]], sources: int) -> tuple[Points, Array, Array]:
+    """Return points, residuals and weights; None becomes NaN."""
+    table = np.array(rows, np.float64).reshape(-1, len(COLUMNS))
+    numbers = table[:, [STROKE, SOURCE]]
+    if len(table) != len(rows) or not np.isfinite(table[:, :FIT]).all():
+        raise ValueError(f'its points are not rows of {", ".join(COLUMNS)}')
+    if (numbers % 1.0 != 0.0).any() or not (
+            (numbers >= [1.0, 0.0]) & (numbers < [2.0**31, sources])).all():
+        raise ValueError('a point is of no stroke or of no source')
+    return (Points(table[:, 3:FIT].copy(), table[:, STAMP].copy(),
+                   table[:, STROKE].astype(np.int32), table[:, SOURCE].astype(np.int32)),
+            table[:, FIT].copy(), table[:, FIT + 1].copy())
+
+
+def _verification(item: Mapping[str, Any]) -> Verification:
+    moved = item['moved_m']
+    return Verification(_array(item['position']), float(item['distance_m']), float(item['stamp']),
+                        int(item['checkpoint']), None if moved is None else float(moved))
 
 
 def _array(values: Any, shape: tuple[int, ...] = (3,)) -> Array:

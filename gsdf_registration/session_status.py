@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gsdf_registration.collection import Collection, Rejection
+from gsdf_registration.holdings import Holdings
 from gsdf_registration.result import Reason, RegistrationResult
+from gsdf_registration.strokes import StrokeReport
+from gsdf_registration.verification import VerificationSummary, summary
 
 
 @dataclass(frozen=True)
@@ -26,11 +29,20 @@ class Status:
     result: RegistrationResult | None       # the last one, refused or not
     pose_result: RegistrationResult | None  # the last good one
     pose_frame_id: str          # frame of its pose
+    outdated: bool              # whether points that it was found with have been dropped since
+    stroke_reports: tuple[StrokeReport, ...]    # of the strokes held that it was found with
+    landmark_misses: dict[str, float]       # m, of each landmark from its place on the bone
+    verification: VerificationSummary | None    # None without any
+    remark: str                 # what is to be known of the past: taken up from a journal
+
 
 _ADVICE = {
     Rejection.NOT_FINITE: 'most samples are not numbers: is the probe in view of the tracker?',
     Rejection.WRONG_FRAME:
         'most points are in another frame than the first: set probe.frame_id or clear',
+    Rejection.NO_REFERENCE:
+        'for most points no pose of the reference array, or transform on /tf, is known at their '
+        'time: is the array in view, are all stamped by one clock?',
     Rejection.NOT_MONOTONIC:
         'most stamps do not move forward: are they set? If a recording restarted, clear',
     Rejection.STALE: 'most points come in late: is the network or the computer overloaded?',
@@ -46,6 +58,55 @@ _ADVICE = {
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun: 1 point, 2 points."""
     return f'{number} {noun}{"" if number == 1 else "s"}'
+
+
+def held(holds: Holdings) -> str:
+    """Return how much a session holds."""
+    points, strokes = len(holds.collection), holds.collection.strokes
+    return f'{counted(points, "point")} in {counted(strokes, "stroke")} held'
+
+
+def pose_stands(holds: Holdings) -> str:
+    """Return what becomes of the last good pose when something is dropped."""
+    return '' if holds.pose is None else '; the last good pose stands until the next registration'
+
+
+def status_of(holds: Holdings, solving: bool, fresh: bool, remark: str) -> Status:
+    """
+    Return a session at a glance.
+
+    ``fresh``: the last registration is the latest thing that happened.
+    """
+    collection, touches = holds.collection, holds.touches
+    pose = None if holds.pose is None else holds.pose.result
+    state = 'collecting' if collection.collecting else 'idle'
+    if holds.field is None:
+        state = 'no_model'
+    elif solving:
+        state = 'solving'
+    elif fresh and holds.result is not None:
+        state = 'registered' if holds.result.success else 'refused'
+    words = sentence(state, collection, holds.result, held(holds) + pose_stands(holds),
+                     touches.to_come)
+    return Status(
+        state=state,
+        message='; '.join(filter(None, (words, remark))),
+        received=collection.received,
+        kept=len(collection),
+        rejected=dict(collection.counts),
+        strokes=collection.strokes,
+        landmarks=len(touches.landmarks),
+        frame_id=collection.frame_id,
+        reason=None if holds.result is None else holds.result.reason,
+        result=holds.result,
+        pose_result=pose,
+        pose_frame_id='' if holds.pose is None else holds.pose.frame_id,
+        outdated=holds.pose is not None and holds.pose.outdated(collection.serials()),
+        stroke_reports=holds.reports(),
+        landmark_misses={} if pose is None or pose.T_tracker_bone is None else touches.misses(
+            pose.T_tracker_bone),
+        verification=summary(touches.verifications, holds.config.limits.verification),
+        remark=remark)
 
 
 def sentence(state: str, collection: Collection, result: RegistrationResult | None, held: str,

@@ -15,6 +15,10 @@ from gsdf_registration.rigid import Array
 
 # remembered of a source: 2 s at 10 kHz; bounds the memory whatever the stamps say
 MOST_SAMPLES = 20_000
+# a tenth of the samples may be wild readings, which a tracker strews in; they are left out
+MOST_STRAYS = 0.1
+# this many samples in a row elsewhere are a tip that has moved
+AGREEING = 3
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,8 @@ class Rest:
     spread_max: float
     samples: int
     stamp: float        # of the last sample, s
+    source: int
+    since: float        # it has been near that place all the time from here on, s
 
 
 class RestingTip:
@@ -66,24 +72,24 @@ class RestingTip:
 
         """
         dwell, radius = self.config.dwell, self.config.radius
-        trails = [trail for trail in self._sources.values()
+        trails = [(source, trail) for source, trail in self._sources.items()
                   if now is None or trail.arrival is None or now - trail.arrival <= dwell]
         if not trails:
             raise InputError(
                 'no probe tip is seen; bring the probe into view of the tracker, hold it still')
-        long_enough = [trail for trail in trails if trail.lasts(dwell)]
+        long_enough = [(source, trail) for source, trail in trails if trail.lasts(dwell)]
         if not long_enough:
             raise InputError(
                 f'the tip has not been seen for {dwell:g} s without a break; hold it still '
                 'in view and try again')
-        rests = [(trail.rested, trail.mean(dwell)) for trail in long_enough]
-        resting = [(rested, rest) for rested, rest in rests if rest.spread_max <= radius]
+        rests = [trail.mean(source, dwell, radius) for source, trail in long_enough]
+        resting = [rest for rest in rests if rest.spread_max <= radius]
         if not resting:
-            nearest = min((rest for _, rest in rests), key=lambda rest: rest.spread_max)
+            nearest = min(rest.spread_max for rest in rests)
             raise InputError(
-                f'the tip moves: {1e3 * nearest.spread_max:.1f} mm within the last {dwell:g} s,'
+                f'the tip moves: {1e3 * nearest:.1f} mm within the last {dwell:g} s,'
                 f' {1e3 * radius:.1f} mm allowed; hold it still and try again')
-        return min(resting, key=lambda pair: pair[0])[1]
+        return min(resting, key=lambda rest: rest.stamp - rest.since)
 
 
 class _Trail:
@@ -92,8 +98,9 @@ class _Trail:
     def __init__(self, stamp: float, position: tuple[float, float, float]) -> None:
         self.samples: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=MOST_SAMPLES)
         self.arrival: float | None = None
-        self._anchor = position
-        self._anchor_stamp = stamp
+        self._anchor, self._anchor_stamp = position, stamp
+        # the last samples in a row that are not near it
+        self._away: list[tuple[float, tuple[float, float, float]]] = []
 
     def add(self, stamp: float, position: tuple[float, float, float], arrival: float | None,
             config: LandmarksConfig) -> None:
@@ -104,22 +111,28 @@ class _Trail:
         while len(samples) > 1 and samples[1][0] <= stamp - config.dwell:
             samples.popleft()   # the first one left is just as old as the dwell, or older
         self.arrival = arrival
-        if math.dist(position, self._anchor) > 2.0 * config.radius:
-            self._anchor, self._anchor_stamp = position, stamp
+        near = 2.0 * config.radius
+        if math.dist(position, self._anchor) <= near:
+            self._away.clear()
+            return
+        self._away.append((stamp, position))
+        if len(self._away) >= AGREEING:     # it went away with the first of them
+            (self._anchor_stamp, self._anchor), *rest = self._away
+            self._away = [sample for sample in rest if math.dist(sample[1], self._anchor) > near]
 
     def lasts(self, dwell: float) -> bool:
         return self.samples[0][0] <= self.samples[-1][0] - dwell
 
-    @property
-    def rested(self) -> float:
-        """Time since the tip last moved away from where it was, s."""
-        return self.samples[-1][0] - self._anchor_stamp
-
-    def mean(self, dwell: float) -> Rest:
+    def mean(self, source: int, dwell: float, radius: float) -> Rest:
+        """Return the mean over the dwell, a few strays left out, and how far it spreads."""
         last = self.samples[-1][0]
         positions = np.array(
             [position for stamp, position in self.samples if stamp >= last - dwell])
+        off = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+        # not where it begins or ends: there the tip has not come yet, or goes
+        if max(off[0], off[-1]) <= radius and np.mean(off > radius) <= MOST_STRAYS:
+            positions = positions[off <= radius]
         mean = positions.mean(axis=0)
         distances = np.linalg.norm(positions - mean, axis=1)
         return Rest(mean, float(np.sqrt(np.mean(distances**2))), float(distances.max()),
-                    len(positions), last)
+                    len(positions), last, source, self._anchor_stamp)

@@ -49,9 +49,11 @@ def words_of(error: Exception) -> str:
     return ' '.join(str(error).split()).rstrip('.!') or type(error).__name__
 
 
-def write_atomically(path: str | os.PathLike[str], text: str) -> None:
+def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None:
     """
-    Write a text file so that a reader, or a crash, sees the old file or the new, never a part.
+    Write a file so that a reader, or a crash, sees the old one or the new, never a part.
+
+    Text is written as UTF-8.
 
     Raises
     ------
@@ -64,8 +66,8 @@ def write_atomically(path: str | os.PathLike[str], text: str) -> None:
     try:
         # in the same directory: a rename is atomic only within one file system
         handle, temporary = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
-        with os.fdopen(handle, 'w', encoding='utf-8') as file:
-            file.write(text)
+        with os.fdopen(handle, 'wb') as file:
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, 0o644)  # mkstemp's file is for the owner alone

@@ -15,7 +15,7 @@ from gsdf_registration.config import GateConfig
 from gsdf_registration.result import InputError
 
 RATE = 80.0
-SPEED = 0.1     # m/s, of the tip in these tests
+SPEED = 0.05    # m/s, of the tip in these tests
 
 
 def collection(max_points: int = 10_000, frame_id: str = '', **gate: float) -> Collection:
@@ -39,8 +39,15 @@ def test_sound_points_are_kept_as_they_are() -> None:
     points = c.arrays()
     assert np.array_equal(points.positions, [path(i) for i in range(100)])
     assert np.array_equal(points.stamps, np.arange(100) / RATE)
-    assert set(points.strokes) == {0} and set(points.sources) == {0}
+    assert set(points.strokes) == {1} and set(points.sources) == {0}
     assert (c.received, len(c), c.strokes, c.frame_id) == (100, 100, 1, 'cam')
+
+
+def undone(target: Collection) -> int:
+    """Undo, and return the number of points that were dropped."""
+    stroke = target.undo()
+    assert stroke is not None
+    return stroke.points
 
 
 @pytest.mark.parametrize('position', [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0),
@@ -123,7 +130,7 @@ def test_a_full_collection_says_so_and_forgets_nothing() -> None:
     c = collection(max_points=50)
     assert drag(c, 60) == [None] * 50 + [Rejection.FULL] * 10
     assert np.array_equal(c.arrays().positions, [path(i) for i in range(50)])
-    assert c.undo() == 50
+    assert undone(c) == 50
     assert c.add(61 / RATE, path(61), 'cam') is None
 
 
@@ -189,7 +196,7 @@ def test_strokes_lie_between_start_and_end_and_are_split_by_silence() -> None:
     drag(c, 10, first=110)
     c.start_stroke()
     drag(c, 10, first=120)
-    assert c.arrays().strokes.tolist() == [0] * 10 + [1] * 10 + [2] * 10
+    assert c.arrays().strokes.tolist() == [1] * 10 + [2] * 10 + [3] * 10
 
 
 def test_a_resting_tip_is_no_silence() -> None:
@@ -206,11 +213,11 @@ def test_undo_drops_the_stroke_begun_last() -> None:
     drag(c, 10)
     c.start_stroke()
     drag(c, 7, first=10)
-    assert c.undo() == 7
+    assert undone(c) == 7
     assert np.array_equal(c.arrays().positions, [path(i) for i in range(10)])
     drag(c, 5, first=20)        # the one that goes on after it is a new one
     assert c.strokes == 2
-    assert [c.undo(), c.undo(), c.undo()] == [5, 10, 0]
+    assert [undone(c), undone(c), c.undo()] == [5, 10, None]
     assert (len(c), c.strokes) == (0, 0)
     assert c.received == 22 == c.undone
 
@@ -221,8 +228,9 @@ def test_sources_have_strokes_of_their_own() -> None:
         drag(c, 1, first=i, source=0)
         drag(c, 1, first=i, source=1)
     points = c.arrays()
-    assert points.strokes.tolist() == points.sources.tolist() == [0, 1] * 10
-    assert c.undo() == 10
+    assert points.sources.tolist() == [0, 1] * 10
+    assert points.strokes.tolist() == [1, 2] * 10
+    assert undone(c) == 10
     assert c.arrays().sources.tolist() == [0] * 10
 
 
@@ -246,7 +254,7 @@ def test_refill_takes_up_where_it_was_left() -> None:
     assert all(np.array_equal(a, b) for a, b in zip(other.arrays(), c.arrays()))
     assert (other.received, other.frame_id, other.strokes) == (21, 'cam', 2)
     drag(other, 2000, first=20)
-    assert len(other) == 2020 and other.undo() == 2000
+    assert len(other) == 2020 and undone(other) == 2000
     assert np.array_equal(other.arrays().positions, c.arrays().positions)
 
 
@@ -259,6 +267,109 @@ def test_refill_refuses_what_does_not_fit_and_changes_nothing() -> None:
         assert len(other) == 0
 
 
+def lifted(count: int, arc: int, speed: float, rate: float = RATE) -> np.ndarray:
+    """Return a stroke at ``SPEED``, an arc through the air at ``speed``, and another stroke."""
+    steps = np.repeat([SPEED, speed, SPEED], [count, arc, count])
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, (len(steps), 3))
+    return noise + np.outer(np.cumsum(steps) / rate, [1.0, 0.0, 0.0])
+
+
+def strokes_of(positions: np.ndarray, rate: float = RATE, **gate: float) -> np.ndarray:
+    c = collection(**gate)
+    for i, position in enumerate(positions):
+        assert c.add(i / rate, position, 'cam') is None
+    return c.arrays().strokes
+
+
+@pytest.mark.parametrize('rate', [40.0, 80.0, 1000.0])
+def test_a_tip_that_lifts_off_and_lands_begins_a_stroke_each_time(rate: float) -> None:
+    count, arc = round(2.0 * rate), round(0.6 * rate)
+    strokes = strokes_of(lifted(count, arc, 0.16, rate), rate)
+    assert set(strokes) == {1, 2, 3}
+    lag = round(0.2 * rate) + AGREEING
+    assert (strokes[:count] == 1).all()
+    assert (strokes[count + lag:count + arc] == 2).all()
+    assert (strokes[count + arc + lag:] == 3).all()
+
+
+def test_a_hand_that_is_not_quick_and_a_short_jerk_do_not_split() -> None:
+    assert set(strokes_of(lifted(200, 40, 0.08))) == {1}
+    assert set(strokes_of(lifted(200, 3, 0.16))) == {1}
+    assert set(strokes_of(lifted(200, 40, 0.16), lift_speed=0.0)) == {1}
+    assert set(strokes_of(lifted(200, 40, 0.16), lift_speed=0.3)) == {1}
+
+
+def test_a_wild_point_is_no_lift_off() -> None:
+    positions = lifted(200, 0, 0.0)
+    positions[100, 1] += 0.011       # not quite too fast
+    assert set(strokes_of(positions)) == {1}
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.floats(0.0, 0.9), max_size=8))
+def test_splitting_loses_no_point(speeds: list[float]) -> None:
+    positions = np.outer(np.cumsum(np.repeat(speeds, 30)) / RATE, [1.0, 0.0, 0.0])
+    c = collection()
+    kept = [c.add(i / RATE, p, 'cam') in (None, Rejection.DUPLICATE)
+            for i, p in enumerate(positions)]
+    assert all(kept) and c.received == len(c) + c.counts['duplicate']
+
+
+def test_undo_says_what_split_the_stroke_off() -> None:
+    c = collection()
+    for i, position in enumerate(lifted(200, 40, 0.16)):
+        c.add(i / RATE, position, 'cam')
+    drag(c, 10, first=1000)
+    c.start_stroke()
+    drag(c, 10, first=1010)
+    parts = [c.undo() for _ in range(5)]
+    assert [part and part.split_by for part in parts] == ['', 'silence', 'landing', 'lift-off', '']
+    assert c.undone == 460 and c.undo() is None
+
+
+def test_what_a_resting_tip_delivered_is_taken_out_and_held_back_until_it_leaves() -> None:
+    c = collection()
+    drag(c, 40)
+    drag(c, 40, first=40, source=1)
+    place = path(30)
+    assert c.withdraw(0, 30 / RATE, place, 0.004) == 10
+    assert len(c) == 70 and c.counts['touched'] == 10
+    points = c.arrays()
+    assert points.stamps[points.sources == 0].max() < 30 / RATE
+    assert (points.sources == 1).sum() == 40      # the other probe is not concerned
+    later = [c.add((40 + i) / RATE, (place[0] + 0.0002 * i, *place[1:]), 'cam') for i in range(30)]
+    assert later == [Rejection.TOUCHED] * 20 + [None] * 10 or later == (
+        [Rejection.TOUCHED] * 21 + [None] * 9)
+    assert c.add(1.0, place, 'cam') is None     # it may come back as any other point
+    assert c.received == len(c) + c.undone + sum(c.counts.values())
+    assert c.strokes == 3
+
+
+def test_a_stroke_that_was_all_rest_is_gone() -> None:
+    c = collection()
+    drag(c, 10)
+    c.start_stroke()
+    drag(c, 10, first=10)
+    assert c.withdraw(0, 10 / RATE, path(15), 0.1) == 10
+    assert c.strokes == 1 and undone(c) == 10 and c.undo() is None
+
+
+def test_serials_tell_which_points_are_still_there() -> None:
+    c = collection()
+    drag(c, 10)
+    c.start_stroke()
+    drag(c, 5, first=10)
+    before = c.serials()
+    c.undo()
+    drag(c, 5, first=20)
+    after = c.serials()
+    assert (np.diff(after) > 0).all()
+    assert np.isin(after, before).tolist() == [True] * 10 + [False] * 5
+    c.clear()
+    drag(c, 5)
+    assert not np.isin(c.serials(), after).any()
+
+
 numbers = st.floats(-2.0, 2.0) | st.sampled_from([math.nan, math.inf, -1e30])
 samples = st.tuples(st.floats(0.0, 10.0) | st.just(math.nan), st.tuples(numbers, numbers, numbers),
                     st.sampled_from(['cam', 'cam', 'cam', 'other']), st.integers(0, 2),
@@ -266,12 +377,13 @@ samples = st.tuples(st.floats(0.0, 10.0) | st.just(math.nan), st.tuples(numbers,
 
 
 @settings(deadline=None, max_examples=100)
-@given(st.lists(samples | st.sampled_from(['start', 'end', 'undo']), max_size=60))
+@given(st.lists(samples | st.sampled_from(['start', 'end', 'undo', 'touch']), max_size=60))
 def test_every_point_received_is_kept_undone_or_counted(events: list) -> None:
     c = collection(max_points=20)
     for event in events:
         if isinstance(event, str):
-            {'start': c.start_stroke, 'end': c.end_stroke, 'undo': c.undo}[event]()
+            {'start': c.start_stroke, 'end': c.end_stroke, 'undo': c.undo,
+             'touch': lambda: c.withdraw(0, 5.0, (0.0, 0.0, 0.0), 1.0)}[event]()
         else:
             c.add(*event)
     assert c.received == len(c) + c.undone + sum(c.counts.values())

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsdf_registration import rigid
-from gsdf_registration.landmarks import pose_from_landmarks
+from gsdf_registration.landmarks import disagreement, pose_from_landmarks
 from gsdf_registration.result import InputError, Reason
 from gsdf_registration.rigid import Array
 
@@ -86,3 +86,34 @@ def test_what_fixes_no_pose_is_refused_in_a_sentence(model: Array, tracker: Arra
 def test_what_is_no_array_is_refused_too(garbage: object) -> None:
     with pytest.raises(InputError):
         pose_from_landmarks(garbage, TOUCHED)       # type: ignore[arg-type]
+
+
+NAMES = ['a', 'b', 'c', 'd']
+FOUR = np.vstack([MODEL, [[0.05, 0.0, 0.0]]])
+
+
+def test_touches_of_a_usual_error_agree() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        side = rng.normal(size=FOUR.shape)
+        side *= 0.004 / np.linalg.norm(side, axis=1, keepdims=True)
+        for k in (1, 2, 3, 4):
+            assert disagreement(NAMES[:k], FOUR[:k],
+                                rigid.transform(T_TRACKER_BONE, FOUR[:k] + side[:k])) == ''
+
+
+@pytest.mark.parametrize('wrong', [0, 1, 2, 3])
+def test_the_one_without_which_the_others_agree_is_named(wrong: int) -> None:
+    touched = FOUR.copy()
+    touched[wrong] += 0.05 * (touched[wrong] - FOUR.mean(axis=0)) / np.linalg.norm(
+        touched[wrong] - FOUR.mean(axis=0))
+    words = disagreement(NAMES, FOUR, rigid.transform(T_TRACKER_BONE, touched))
+    assert words.startswith(f'but "{NAMES[wrong]}" lies up to ')
+
+
+def test_landmarks_in_another_order_are_told() -> None:
+    words = disagreement(NAMES[:3], MODEL, TOUCHED[[1, 0, 2]])
+    assert words == 'but it looks as if they were touched in this order: "b", "a", "c"'
+    words = disagreement(NAMES[:2], MODEL[:2], TOUCHED[[0, 2]])
+    assert words == ('but "a" and "b" are 185 mm apart, 110 mm on the model: were other places '
+                     'touched?')

@@ -238,6 +238,180 @@ def test_verification_measures_and_judges(field: Field) -> None:
     assert session.status().pose_result is before
 
 
+def rest(session: Session, point: Array, start: float, seconds: float = 1.0) -> float:
+    """Hold the tip as a tracker sees it, no two readings alike; return the time after it."""
+    readings = point + np.random.default_rng(int(start)).normal(0.0, 1e-4,
+                                                                (round(seconds * RATE), 3))
+    for i, reading in enumerate(readings):
+        session.add_point(start + i / RATE, reading, 'cam')
+    return start + len(readings) / RATE
+
+
+def near(session: Session, place: Array, radius: float = 0.004) -> int:
+    """Return how many points of the collection lie there."""
+    return int((np.linalg.norm(session.points().positions - place, axis=1) < radius).sum())
+
+
+def on_surface(field: Field, row: int) -> Array:
+    return transform(T_TRACKER_BONE, field.surface_points[row].astype(np.float64))
+
+
+@pytest.mark.parametrize('touch', ['verify', 'capture_landmark'])
+def test_what_is_touched_on_purpose_is_kept_out_of_the_fit(field: Field, touch: str) -> None:
+    session = Session(CONFIG, field)
+    send(session, touched(field), start=100.0)
+    assert session.register(T_tracker_bone=T_TRACKER_BONE).success
+    place = on_surface(field, 501)
+    kept, around, revision = session.status().kept, near(session, place), session._holds.revision
+    end = rest(session, place, 1000.0)
+    assert session.status().kept == kept + 80
+    assert getattr(session, touch)().success
+    assert session.status().kept == kept and near(session, place) == around
+    assert session._holds.revision > revision      # who follows the collection hears of it
+    rest(session, place, end)       # it still rests there, and is still not for the fit
+    status = session.status()
+    assert (status.kept, status.rejected['touched']) == (kept, 160)
+    assert not status.outdated
+    send(session, [place + [0.0, 0.0, 0.01]], start=2000.0)     # it goes on
+    assert session.status().kept == kept + 1
+    assert status.received == status.kept + sum(status.rejected.values())
+
+
+def test_a_place_that_the_registration_was_found_with_is_no_verification(field: Field) -> None:
+    session = landmarked(field)
+    send(session, touched(field), start=100.0)
+    end = rest(session, on_surface(field, 501), 1000.0)
+    assert session.register().success
+    rest(session, on_surface(field, 501), end)
+    answer = session.verify()
+    assert not answer.success and 'rested here since before the registration' in answer.message
+    assert session.status().verification is None
+    rest(session, on_surface(field, 2501), 1100.0)
+    assert session.verify().success
+
+
+def test_a_checkpoint_touched_again_tells_that_the_array_was_bumped(field: Field) -> None:
+    session = registered(field)
+    surface = field.surface_points[500].astype(np.float64)
+    along = np.cross(field.surface_normals[500].astype(np.float64), [0.3, 0.5, 0.8])
+    along *= 0.0034 / np.linalg.norm(along)     # which the distance to the surface hardly shows
+    for count, (shift, good) in enumerate(((0.0, True), (0.1, True), (1.0, False))):
+        hold(session, transform(T_TRACKER_BONE, surface + shift * along), 1000.0 + 300.0 * count)
+        answer = session.verify()
+        assert answer.success is good, answer.message
+    assert answer.message.endswith(
+        'checkpoint 1 moved 3.4 mm since it was first touched 10 min ago: was the array bumped?')
+    glance = session.status().verification
+    assert glance is not None and not glance.good
+    assert glance.points == 1 and glance.moved_m == pytest.approx(0.0034)
+
+
+def test_verification_points_are_measured_anew_when_the_bone_is_registered_anew(
+        field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = registered(field)
+    normal = T_TRACKER_BONE[:3, :3] @ field.surface_normals[500]
+    hold(session, on_surface(field, 500), 1000.0)
+    assert session.verify().success
+    shifted = T_TRACKER_BONE.copy()
+    shifted[:3, 3] += 0.003 * normal
+    monkeypatch.setattr(session_module, 'register', lambda *_, **__: RegistrationResult(
+        Reason.CONVERGED, 'found', T_tracker_bone=shifted))
+    session.register()
+    glance = session.status().verification
+    assert glance is not None and glance.worst_m == pytest.approx(0.003, abs=2e-4)
+    assert not glance.good
+
+
+def test_undo_of_several_strokes_and_of_parts_of_one(field: Field) -> None:
+    session = Session(CONFIG, field)
+    line = np.linspace([0.0, 0.0, 0.0], [0.05, 0.0, 0.0], 80)
+    for stroke in range(2):
+        session.collect(True)
+        for i, point in enumerate(line):
+            session.add_point(100.0 * stroke + i / RATE, point, 'cam')
+    for i, point in enumerate(line):        # after a silence
+        session.add_point(150.0 + i / RATE, point, 'cam')
+    assert session.undo().message == (
+        'dropped the last stroke, 80 points, which a silence had split off the one before: undo '
+        'again to drop that too; 160 points in 2 strokes held')
+    assert session.undo().message == (
+        'dropped the last stroke, 80 points; 80 points in 1 stroke held')
+    assert session.undo().success and not session.undo().success
+
+
+def test_a_pose_is_outdated_when_points_it_was_found_with_were_dropped(field: Field) -> None:
+    session = Session(CONFIG, field)
+    assert not session.outdated
+    send(session, touched(field), start=100.0)
+    assert session.register(T_tracker_bone=T_TRACKER_BONE).success
+    send(session, touched(field, 50), start=1000.0)
+    for _ in range(50):
+        session.undo()
+    assert not session.outdated and session.status().kept == 300
+    session.undo()
+    assert session.outdated and session.status().outdated
+    assert session.register(T_tracker_bone=T_TRACKER_BONE).success
+    assert not session.outdated
+    session.clear()
+    assert session.outdated
+
+
+def test_a_stroke_of_interference_is_named_and_gone_after_undo(field: Field) -> None:
+    session = Session(CONFIG, field)
+    send(session, touched(field), start=100.0)
+    session.collect(True)
+    for i in range(24):         # a retractor
+        session.add_point(1000.0 + 0.2 * i, transform(T_TRACKER_BONE, [0.09, 0.005 * i, 0.0]),
+                          'cam')
+    result = session.register(T_tracker_bone=T_TRACKER_BONE)
+    words = 'stroke 301: 24 points, none on the bone: interference; undo it or leave it'
+    assert result.success and result.message.endswith(f'; {words}')
+    status = session.status()
+    assert words in status.message and status.stroke_reports[-1].sentence == words
+    assert all(each.rms_m < 1e-3 for each in status.stroke_reports[:-1])
+    send(session, touched(field, 5), start=2000.0)      # not in it: nothing is said of them
+    assert len(session.status().stroke_reports) == 301
+    for _ in range(6):
+        session.undo()
+    assert len(session.status().stroke_reports) == 300
+    assert 'interference' not in session.register(T_tracker_bone=T_TRACKER_BONE).message
+
+
+def test_landmarks_touched_in_another_order_are_told_at_once(field: Field) -> None:
+    session = Session(CONFIG, field)
+    tip = transform(T_TRACKER_BONE, LANDMARKS)
+    answers = []
+    for count, place in enumerate((0, 2, 1)):
+        hold(session, tip[place], 10.0 * count)
+        answers.append(session.capture_landmark().message)
+    assert 'but' not in answers[0]
+    assert '"x" and "y" are 76 mm apart, 54 mm on the model: were other places' in answers[1]
+    assert 'touched in this order: "x", "z", "y"' in answers[2]
+
+
+def test_a_landmark_touched_elsewhere_is_named_after_registration(field: Field) -> None:
+    session = Session(CONFIG, field)
+    tip = transform(T_TRACKER_BONE, LANDMARKS + [[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.0] * 3])
+    for count, place in enumerate(tip):
+        hold(session, place, 10.0 * count)
+        session.capture_landmark()
+    send(session, touched(field), start=100.0)
+    result = session.register()
+    assert result.success
+    assert 'landmark "y" was touched 20 mm from its place: was it another one?' in result.message
+    assert session.status().landmark_misses == pytest.approx({'x': 0.0, 'y': 0.02, 'z': 0.0},
+                                                             abs=1e-3)
+
+
+def test_a_remark_goes_with_the_status_until_there_is_news(field: Field) -> None:
+    session = Session(CONFIG, field)
+    for forget in (session.clear, session.register):
+        session.remark('taken up from a journal')
+        assert session.status().message.endswith('; taken up from a journal')
+        forget()
+        assert 'journal' not in session.status().message
+
+
 def test_another_model_drops_the_pose_and_the_same_one_does_not(field: Field) -> None:
     session = registered(field)
     session.set_model(field)
@@ -421,11 +595,13 @@ def test_a_session_of_another_bone_is_refused(field: Field) -> None:
 
 
 @pytest.mark.parametrize('damage', [
-    lambda r: r.pop('points'), lambda r: r['points']['stamps'].pop(),
+    lambda r: r.pop('points'), lambda r: r['points'][0].pop(),
+    lambda r: r['points'][0].__setitem__(0, 0), lambda r: r['points'][0].__setitem__(1, 1),
     lambda r: r['landmarks'][0].pop('model'),
     lambda r: r['landmarks'][0].update(tracker=[1.0, 2.0]),
     lambda r: r.update(result={'reason': 'magic'}), lambda r: r.update(landmarks=7),
-    lambda r: r['points']['positions'].__setitem__(0, None),
+    lambda r: r['points'][0].__setitem__(3, None), lambda r: r['points'].append(None),
+    lambda r: r['points'].append([1, 2]), lambda r: r.update(points=[1.0] * 16),
     lambda r: r['pose_result'].update(T_tracker_bone=[[1.0]]),
     lambda r: r['result'].update(T_tracker_bone=None),
     lambda r: r['pose_result'].update(covariance=[1.0])

@@ -102,3 +102,45 @@ def test_memory_is_bounded_whatever_the_stamps_say() -> None:
     for i in range(MOST_SAMPLES + 100):
         tip.add(i * 1e-9, (0.0, 0.0, 0.0))
     assert len(tip._sources[0].samples) == MOST_SAMPLES
+
+
+def test_a_few_wild_readings_are_no_motion_and_not_in_the_mean() -> None:
+    tip = RestingTip(CONFIG)
+    for i in range(81):
+        wild = i in (50, 63, 78)
+        tip.add(i / RATE, (0.3 if wild else 0.1, 0.0, 0.0))
+    rest = tip.rest()
+    assert rest.position == pytest.approx([0.1, 0.0, 0.0]) and rest.spread_max == pytest.approx(0.0)
+    assert rest.samples == 38
+    assert rest.since == 0.0        # and they do not make it come to rest anew
+
+
+@pytest.mark.parametrize('late', [1, 3])
+def test_a_tip_that_has_not_come_yet_or_goes_already_does_not_rest(late: int) -> None:
+    for places in ([0.0] * late + [0.1] * (41 - late), [0.1] * (41 - late) + [0.3] * late):
+        tip = RestingTip(CONFIG)
+        for i, x in enumerate(places):
+            tip.add(i / RATE, (x, 0.0, 0.0))
+        with pytest.raises(InputError, match='the tip moves'):
+            tip.rest()
+
+
+def test_many_readings_elsewhere_are_motion() -> None:
+    tip = RestingTip(CONFIG)
+    for i in range(81):
+        tip.add(i / RATE, (0.3 if i % 6 == 0 else 0.1, 0.0, 0.0))
+    with pytest.raises(InputError, match='the tip moves'):
+        tip.rest()
+
+
+@pytest.mark.parametrize('speed', [0.02, 0.1, 0.8])
+def test_it_is_known_since_when_a_tip_rests(speed: float) -> None:
+    tip = RestingTip(CONFIG)
+    for i in range(80):
+        tip.add(i / RATE, (speed * i / RATE, 0.0, 0.0), source=7)
+    came = 80 / RATE
+    hold(tip, (speed, 0.0, 0.0), came, 1.0, source=7, sigma=0.0001)
+    rest = tip.rest()
+    assert rest.source == 7
+    # not later than it came, so that nothing of the rest is missed, nor long before
+    assert came - 2.0 * 2.0 * CONFIG.radius / speed - 1.5 / RATE <= rest.since <= came

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
+import operator
 import os
+import signal
+from datetime import datetime
 
 import pytest
 from hypothesis import given, settings
@@ -21,19 +24,47 @@ PLAIN = st.recursive(st.none() | st.booleans() | st.integers(-2**53, 2**53)
 @settings(deadline=None, max_examples=40)
 @given(st.dictionaries(st.text(max_size=9), PLAIN, max_size=5))
 def test_a_session_comes_back_as_it_was(tmp_path_factory, session):
-    session.pop('schema', None)
+    for key in ('schema', 'saved'):
+        session.pop(key, None)
     path = tmp_path_factory.mktemp('session') / 's.json'
     write_session(path, session)
-    assert read_session(path) == {'schema': 'gsdf-session/1', **session}
+    read = read_session(path)
+    assert datetime.fromisoformat(read.pop('saved')).tzinfo is not None
+    assert read == {'schema': 'gsdf-session/2', **session}
+
+
+def test_a_point_is_a_line_and_a_person_can_read_it(tmp_path):
+    path = tmp_path / 's.json'
+    write_session(path, {'frames': {'points': 'tracker'}, 'landmarks': [], 'rejected': {},
+                         'landmark': [{'name': 'x', 'model': [0.1, 0.2, 0.3]}],
+                         'points': [[1, 0, 12.5, 0.1, 0.2, 0.3, None, None],
+                                    [1, 0, 12.6, 0.1, 0.2, 0.3, 1e-4, 0.98]]})
+    assert path.read_text().splitlines()[3:] == [
+        '  "frames": {',
+        '    "points": "tracker"',
+        '  },',
+        '  "landmarks": [],',
+        '  "rejected": {},',
+        '  "landmark": [',
+        '    {',
+        '      "name": "x",',
+        '      "model": [0.1, 0.2, 0.3]',
+        '    }',
+        '  ],',
+        '  "points": [',
+        '    [1, 0, 12.5, 0.1, 0.2, 0.3, null, null],',
+        '    [1, 0, 12.6, 0.1, 0.2, 0.3, 0.0001, 0.98]',
+        '  ]',
+        '}']
 
 
 @pytest.mark.parametrize('content, words', [
     (b'', 'is empty'),
-    (b'{"schema": "gsdf-session/1", "points": [1, 2', 'not valid JSON'),
+    (b'{"schema": "gsdf-session/2", "points": [1, 2', 'not valid JSON'),
     (b'[' * 100_000, 'not valid JSON'),
     (b'\xff\xfe{}', 'not UTF-8'),
     (b'[]', 'no session'),
-    (b'{"schema": "gsdf-session/2"}', 'no session'),
+    (b'{"schema": "gsdf-session/1"}', 'no session'),
     (b'{}', 'no session'),
 ])
 def test_what_is_no_session_is_said(tmp_path, content, words):
@@ -55,17 +86,54 @@ def test_a_session_that_cannot_be_written_leaves_the_old_file(tmp_path, bad):
     assert os.listdir(tmp_path) == ['s.json']
 
 
-def test_a_crash_while_writing_leaves_the_old_file(tmp_path, monkeypatch):
+STEPS = ['tempfile.mkstemp', 'os.fdopen', 'os.fsync', 'os.chmod', 'os.replace']
+
+
+@pytest.mark.parametrize('step', STEPS)
+def test_a_fault_while_writing_leaves_the_old_file(tmp_path, monkeypatch, step):
     path = tmp_path / 's.json'
     write_session(path, {'points': [1]})
 
-    def full(_):
+    def full(*_, **__):
         raise OSError(28, 'No space left on device')
-    monkeypatch.setattr(files.os, 'fsync', full)
-    with pytest.raises(InputError, match='No space left'):
-        write_session(path, {'points': [2]})
+    with monkeypatch.context() as patch:
+        patch.setattr(files, step.split('.')[0], Faulty(step, full))
+        with pytest.raises(InputError, match='No space left'):
+            write_session(path, {'points': [2]})
     assert read_session(path)['points'] == [1]
     assert os.listdir(tmp_path) == ['s.json']
+
+
+@pytest.mark.parametrize('step', STEPS)
+@pytest.mark.parametrize('when', ['before', 'after'])
+def test_a_crash_at_any_moment_leaves_the_old_file_or_the_new(tmp_path, monkeypatch, step, when):
+    path = tmp_path / 's.json'
+    write_session(path, {'points': [1]})
+    real = operator.attrgetter(step)(files)
+
+    def killed(*given, **more):
+        if when == 'after':
+            real(*given, **more)
+        os.kill(os.getpid(), signal.SIGKILL)
+    monkeypatch.setattr(files, step.split('.')[0], Faulty(step, killed))
+    child = os.fork()
+    if child == 0:
+        write_session(path, {'points': [2]})
+        os._exit(0)     # not reached
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    replaced = (step, when) == ('os.replace', 'after')
+    assert read_session(path)['points'] == [2 if replaced else 1]
+
+
+class Faulty:
+    """A module of which one function is replaced."""
+
+    def __init__(self, step, function):
+        self._module, self._name = getattr(files, step.split('.')[0]), step.split('.')[1]
+        self._function = function
+
+    def __getattr__(self, name):
+        return self._function if name == self._name else getattr(self._module, name)
 
 
 def test_a_place_that_does_not_exist_is_said(tmp_path):

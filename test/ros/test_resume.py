@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that is killed goes on where it was; what it must not take up is kept aside."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from ros_support import BAG, Client, NodeProcess, Tracker
+
+from msg_adapters import ros
+from msg_adapters.session_journal import journal_path, read_journal
+
+pytestmark = pytest.mark.ros
+StartNode = Callable[..., NodeProcess]
+STILL = np.eye(4)
+
+
+def kill(node: NodeProcess) -> None:
+    node.process.send_signal(signal.SIGKILL)
+    node.process.wait()
+
+
+@pytest.fixture
+def resuming(parameters: dict[str, Any], tmp_path: Path) -> dict[str, Any]:
+    """Return the parameters of a node that resumes and collects on its own."""
+    return parameters | {'session.path': tmp_path / 'session.json', 'session.resume': 'true',
+                         'collect.automatic': 'true'}
+
+
+def test_a_killed_node_goes_on_where_it_was(start_node: StartNode, resuming: dict[str, Any],
+                                            tmp_path: Path) -> None:
+    node = start_node('killed', **resuming)
+    with Client(node) as client:
+        client.await_state('active')
+        assert 'there is no journal' in client.status()['message']
+        tracker = Tracker(client)
+        tracker.await_listener()
+        tracker.touch_landmarks(STILL)
+        client.collect(True)
+        half = len(tracker.positions) // 2
+        tracker.send(tracker.positions[:half], tracker.steps[:half])
+        client.status(received=str(3 * 50 + half))
+        assert client.ask('register').success
+        before = client.status(state='registered')
+        assert int(before['kept']) > 0.9 * half
+        stamp = tracker._stamp
+    kill(node)
+
+    again = start_node('again', **resuming)
+    with Client(again) as client:
+        client.await_state('active')
+        status = client.status(kept=before['kept'])
+        for key in ('received', 'kept', 'strokes', 'landmarks', 'frame_id'):
+            assert status[key] == before[key], key
+        assert f'resumed from {tmp_path}/session.json.journal: {before["kept"]} points' in (
+            status['message'])
+        assert 'resumed from' in again.log
+        tracker = Tracker(client)
+        tracker._stamp = stamp
+        T = ros.pose_from(client.hear(PoseStamped, '~/bone_pose'))[1]    # of before
+        tracker.assert_near_truth(T, STILL)
+        tracker.send(tracker.positions[half:], tracker.steps[half:])
+        client.spin_until(lambda: int(client.status()['kept']) > 600, 'points were lost')
+        answer = client.ask('register')
+        assert answer.success, answer.message
+        tracker.assert_near_truth(ros.pose_from(client.hear(PoseStamped, '~/bone_pose'))[1], STILL)
+        kept = client.status(state='registered')['kept']
+    kill(again)
+    session, damage = read_journal(journal_path(tmp_path / 'session.json')) or ({}, '')
+    assert damage == '' and len(session['points']) == int(kept)     # nothing lost, nothing twice
+
+
+def test_what_was_cleared_is_not_resumed_and_not_lost(start_node: StartNode,
+                                                      resuming: dict[str, Any],
+                                                      tmp_path: Path) -> None:
+    node = start_node('cleared', **resuming)
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client)
+        tracker.await_listener()
+        tracker.send(tracker.positions[:40], tracker.steps[:40])
+        kept = client.status(received='40')['kept']
+        assert client.ask('clear').success
+    kill(node)
+    journal = journal_path(tmp_path / 'session.json')
+    aside = read_journal(journal.with_name(f'{journal.name}.1'))
+    assert aside is not None and len(aside[0]['points']) == int(kept) > 30
+    again = start_node('again', **resuming)
+    with Client(again) as client:
+        client.await_state('active')
+        assert client.status()['kept'] == '0'
+
+
+def test_a_journal_of_another_bone_is_kept_aside(start_node: StartNode, resuming: dict[str, Any],
+                                                 tmp_path: Path) -> None:
+    node = start_node('hip', **resuming)
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client)
+        tracker.await_listener()
+        tracker.send(tracker.positions[:40], tracker.steps[:40])
+        kept = client.status(received='40')['kept']
+    kill(node)
+    other = start_node('femur', **resuming | {'model.path': BAG.parent / 'femur.ply'})
+    with Client(other) as client:
+        client.await_state('active')
+        status = client.status(kept='0')
+        assert 'belongs to another bone model' in status['message']
+        aside = tmp_path / 'session.json.journal.1'
+        assert f'is kept as {aside}' in status['message']
+    found = read_journal(aside)
+    assert found is not None and len(found[0]['points']) == int(kept) > 30
+
+
+def test_a_journal_that_cannot_be_written_costs_no_point(start_node: StartNode,
+                                                         resuming: dict[str, Any],
+                                                         tmp_path: Path) -> None:
+    node = start_node('poor', **resuming | {'session.path': tmp_path / 'none' / 'session.json'})
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client)
+        tracker.await_listener()
+        tracker.send(tracker.positions[:50], tracker.steps[:50])
+        client.spin_until(lambda: int(client.status()['kept']) > 45, 'points were lost')
+    # once for the session in which a listener was awaited, once for this one
+    assert 1 <= node.log.count('cannot be written') <= 2 * len(tracker._publishers) + 2
