@@ -7,16 +7,22 @@ The same bits every time.
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
+from gsdf_registration.collection import Rejection
 from gsdf_registration.config import Config
+from gsdf_registration.feed import Feed, Sample
 from gsdf_registration.field import Field
+from gsdf_registration.frames import Frames
 from gsdf_registration.result import InputError, RegistrationResult
 from gsdf_registration.rigid import Array
 from gsdf_registration.session import LandmarkPairs, Session
 
 if TYPE_CHECKING:
     from msg_adapters.recording import Recording
+
+_log = logging.getLogger('gsdf_registration')
 
 
 def replay(recording: Recording, field: Field, config: Config | None = None,
@@ -25,11 +31,13 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
     """
     Collect every point of a recording in its order, then register.
 
+    Where its clock goes back, as when a recording in a loop was recorded, a new session begins.
+
     Parameters
     ----------
     recording : Recording
         With stamps.  Where it numbers strokes, each change of the number ends one and starts the
-        next.
+        next.  With ``reference.topic`` its `Recording.motions` must hold the poses of the array.
     field : Field
     config : Config, optional
     landmarks : ((k, 3), (k, 3)) float, optional
@@ -47,26 +55,64 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
         When the recording has no stamps.
 
     """
+    session = collected(recording, field, config)
+    return session.register(landmarks, T_tracker_bone), session
+
+
+def collected(recording: Recording, field: Field, config: Config | None = None) -> Session:
+    """Return a session that has collected a recording; arguments and errors as of `replay`."""
     if recording.stamps is None:
         raise InputError(
             'the recording has no stamps, so it cannot be replayed; register its points instead')
     session = Session(config or Config(), field)
     session.collect(True)
+    _play(recording, Feed(config or Config(), _Collecting(session), Frames()),
+          recording.stamps.tolist())
     session.count_dropped(recording.dropped)
-    _feed(session, recording, recording.stamps.tolist())
-    return session.register(landmarks, T_tracker_bone), session
+    return session
 
 
-def _feed(session: Session, recording: Recording, stamps: list[float]) -> None:
+class _Collecting:
+    """Puts what it is fed into a session, as the node does."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._stroke: int | None = None
+
+    def take(self, sample: Sample) -> None:
+        if self._stroke not in (None, sample.stroke):
+            self._session.collect(True)
+        self._stroke = sample.stroke
+        self._session.add_point(sample.stamp, sample.position, sample.frame_id, sample.source,
+                                quality=sample.quality)
+
+    def refuse(self, sample: Sample, cause: Rejection) -> None:
+        self._session.count_dropped({cause.value: 1})
+
+    def start_anew(self, why: str) -> None:
+        _log.warning('what was collected before is dropped, for %s', why)
+        self._session.clear()
+
+
+def _play(recording: Recording, feed: Feed, stamps: list[float]) -> None:
+    """Feed points and motions in the order in which they were received."""
     names = recording.source_names
-    positions = recording.positions.tolist()
-    sources = [0] * len(stamps) if recording.sources is None else recording.sources.tolist()
+    positions, sources = recording.positions.tolist(), recording.sources.tolist()
     quality = [None] * len(stamps) if recording.quality is None else recording.quality.tolist()
     strokes = [0] * len(stamps) if recording.strokes is None else recording.strokes.tolist()
-    stroke = strokes[0] if strokes else 0
-    for row, stamp in enumerate(stamps):
-        if strokes[row] != stroke:
-            stroke = strokes[row]
-            session.collect(True)
-        session.add_point(stamp, positions[row], recording.frame_ids[row], names[sources[row]],
-                          quality=quality[row])
+    motions = iter([*recording.motions, None])
+    motion = next(motions)
+    for row in range(len(stamps) + 1):
+        while motion is not None and motion.after <= row:
+            if motion.child:
+                feed.transform(motion.parent, motion.child, motion.stamp, motion.T_parent_child,
+                               motion.fixed)
+            else:
+                feed.pose(motion.stamp, motion.T_parent_child, motion.parent)
+            motion = next(motions)
+        if row < len(stamps):
+            feed.point(Sample(stamps[row], positions[row], recording.frame_ids[row],
+                              names[sources[row]], quality=quality[row], stroke=strokes[row]))
+    feed.end()
+    if feed.trouble:
+        _log.warning('%s', feed.trouble)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read and write rosbag2 recordings of the probe's tip, without ROS."""
+"""Read and write rosbag2 recordings of the probe's tip and what moves with it, without ROS."""
 
 from __future__ import annotations
 
@@ -16,14 +16,19 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array, quaternion_from_rotation
 from msg_adapters import stamps
 from msg_adapters.bag_storage import BagFiles, Raw, Topic
-from msg_adapters.recording import Recording
+from msg_adapters.motion import NO_MOTION, motion_from
+from msg_adapters.recording import Motion, Recording
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
 POINT = 'geometry_msgs/msg/PointStamped'
+POSE = 'geometry_msgs/msg/PoseStamped'
+TF = 'tf2_msgs/msg/TFMessage'
+FRAMES = {'/tf': False, '/tf_static': True}     # whether what it tells holds for all times
 TIP_TOPIC = '/probe/tip'
 # the tip resting on landmarks: no points of the surface scan
 LANDMARK_TOPIC = '/probe/landmarks'
@@ -32,7 +37,7 @@ TYPES = get_typestore(Stores.ROS2_JAZZY)
 # where each message type that can be read keeps the position
 POSITION: dict[str, Callable[[Any], Any]] = {
     POINT: lambda message: message.point,
-    'geometry_msgs/msg/PoseStamped': lambda message: message.pose.position,
+    POSE: lambda message: message.pose.position,
     'geometry_msgs/msg/TransformStamped': lambda message: message.transform.translation,
 }
 
@@ -50,7 +55,8 @@ def list_topics(path: str | os.PathLike[str]) -> list[Topic]:
     return BagFiles(path).topics()
 
 
-def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None) -> Recording:
+def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
+             reference: str = '', frames: bool = False) -> Recording:
     """
     Read the positions in a rosbag2 recording (mcap or sqlite3 storage) in the order received.
 
@@ -61,6 +67,10 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None) 
     topics : sequence of str, optional
         PointStamped, PoseStamped or TransformStamped topics; by default /probe/tip, or else the
         only PointStamped topic besides /probe/landmarks.
+    reference : str, optional
+        PoseStamped topic of the reference array, for `Recording.motions`.
+    frames : bool, optional
+        Whether those shall hold what is told on /tf and /tf_static too.
 
     Returns
     -------
@@ -77,19 +87,24 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None) 
     bag = BagFiles(path)
     types = {topic.name: topic.msgtype for topic in bag.topics()}
     names = _chosen(bag.path, types, topics)
-    messages = bag.messages(names)
-    if not messages:
+    if reference and types.get(reference) != POSE:
+        raise InputError(f'{path} has no poses of the reference array, PoseStamped on {reference} '
+                         f'(reference.topic): it has {_listed(types)}')
+    told = [name for name in FRAMES if frames and types.get(name) == TF]
+    messages = bag.messages([*names, *([reference] if reference else []), *told])
+    points = [raw for raw in messages if raw.topic in names]
+    if not points:
         raise InputError(f'{path} has no messages on {", ".join(names)}')
-    times, frames, positions = _decoded(bag.path, messages)
+    times, frame_ids, positions = _decoded(bag.path, points)
     return Recording(
-        positions=positions, stamps=times, frame_ids=frames, source_names=names,
-        sources=np.array([names.index(raw.topic) for raw in messages], np.int32),
-        notes=tuple(bag.notes))
+        positions=positions, stamps=times, frame_ids=frame_ids, source_names=names,
+        sources=np.array([names.index(raw.topic) for raw in points], np.int32),
+        motions=_motions(bag.path, messages, names), notes=tuple(bag.notes))
 
 
 def _chosen(path: Path, types: dict[str, str], wanted: Sequence[str] | None) -> list[str]:
     """Return the topics to be read, or raise `InputError` with what there is."""
-    there = ', '.join(f'{name} ({msgtype})' for name, msgtype in types.items()) or 'no topics'
+    there = _listed(types)
     if wanted is None:
         points = [
             name for name, msgtype in types.items() if msgtype == POINT and name != LANDMARK_TOPIC
@@ -109,17 +124,17 @@ def _chosen(path: Path, types: dict[str, str], wanted: Sequence[str] | None) -> 
     return names
 
 
+def _listed(types: dict[str, str]) -> str:
+    return ', '.join(f'{name} ({msgtype})' for name, msgtype in types.items()) or 'no topics'
+
+
 def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np.ndarray]:
     """Return stamps (n,) s, frame ids and positions (n, 3) m of serialized messages."""
     times = np.zeros(len(messages))
     positions = np.zeros((len(messages), 3))
     frames = []
     for i, raw in enumerate(messages):
-        try:
-            message: Any = TYPES.deserialize_cdr(raw.data, raw.msgtype)
-        except Exception:  # damaged bytes lead the decoder to any exception
-            raise InputError(
-                f'{path} is damaged: message {i + 1} on {raw.topic} cannot be decoded') from None
+        message = _message(path, i, raw)
         position = POSITION[raw.msgtype](message)
         times[i] = stamps.to_seconds(message.header.stamp.sec, message.header.stamp.nanosec)
         positions[i] = position.x, position.y, position.z
@@ -127,9 +142,46 @@ def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np
     return times, frames, positions
 
 
+def _message(path: Path, i: int, raw: Raw) -> Any:
+    """Return message number ``i`` of those read."""
+    try:
+        return TYPES.deserialize_cdr(raw.data, raw.msgtype)
+    except Exception:  # damaged bytes lead the decoder to any exception
+        raise InputError(
+            f'{path} is damaged: message {i + 1} on {raw.topic} cannot be decoded') from None
+
+
+def _motions(path: Path, messages: list[Raw], points: Sequence[str]) -> list[Motion]:
+    """Return what the messages tell of the reference array and frames, between ``points``."""
+    motions, after = [], 0
+    for i, raw in enumerate(messages):
+        if raw.topic in points:
+            after += 1
+        elif raw.topic in FRAMES:
+            for each in _message(path, i, raw).transforms:
+                motion = each.transform
+                motions.append(_motion(after, each.header, motion.translation, motion.rotation,
+                                       each.child_frame_id, FRAMES[raw.topic]))
+        else:
+            message = _message(path, i, raw)
+            motions.append(_motion(after, message.header, message.pose.position,
+                                   message.pose.orientation))
+    return motions
+
+
+def _motion(after: int, header: Any, position: Any, orientation: Any, child: str = '',
+            fixed: bool = False) -> Motion:
+    try:
+        T = motion_from(position, orientation)
+    except InputError:
+        T = NO_MOTION
+    stamp = stamps.to_seconds(header.stamp.sec, header.stamp.nanosec)
+    return Motion(after, stamp, T, header.frame_id, child, fixed)
+
+
 class BagWriter:
     """
-    Write positions as PointStamped into a new rosbag2 directory (mcap).
+    Write positions and poses, as PointStamped and PoseStamped, into a new rosbag2 (mcap).
 
     A context manager; the same calls give the same bytes, and if the block is left by an exception
     no bag is left behind.
@@ -183,19 +235,31 @@ class BagWriter:
             Time of reception, s, which orders the messages of a bag; by default the stamp.
 
         """
+        self._write(topic, POINT, _point(position), stamp, frame_id, received)
+
+    def write_pose(self, topic: str, stamp: float, T: Array, frame_id: str,
+                   received: float | None = None) -> None:
+        """Append one pose ``T`` (4, 4), m, in ``frame_id``; the rest as `write_point`."""
+        turn = TYPES.types['geometry_msgs/msg/Quaternion'](*quaternion_from_rotation(T[:3, :3]))
+        pose = TYPES.types['geometry_msgs/msg/Pose'](_point(T[:3, 3]), turn)
+        self._write(topic, POSE, pose, stamp, frame_id, received)
+
+    def _write(self, topic: str, msgtype: str, body: Any, stamp: float, frame_id: str,
+               received: float | None) -> None:
+        """Append a message of a header and one thing more."""
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, POINT, typestore=TYPES)
+            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=TYPES)
         time = stamps.to_nanoseconds(stamp)
-        message = _point_message(time, position, frame_id)
+        message = TYPES.types[msgtype](_header(time, frame_id), body)
         logged = time if received is None else stamps.to_nanoseconds(received)
-        self._writer.write(self._connections[topic], logged, TYPES.serialize_cdr(message, POINT))
+        self._writer.write(self._connections[topic], logged, TYPES.serialize_cdr(message, msgtype))
 
 
-def _point_message(nanoseconds: int, position: Sequence[float] | np.ndarray, frame_id: str) -> Any:
-    """Return a PointStamped as rosbags knows it."""
+def _header(nanoseconds: int, frame_id: str) -> Any:
     types = TYPES.types
-    sec, nanosec = stamps.split(nanoseconds)
-    header = types['std_msgs/msg/Header'](types['builtin_interfaces/msg/Time'](sec, nanosec),
-                                          frame_id)
-    return types[POINT](header,
-                        types['geometry_msgs/msg/Point'](*(float(value) for value in position)))
+    time = types['builtin_interfaces/msg/Time'](*stamps.split(nanoseconds))
+    return types['std_msgs/msg/Header'](time, frame_id)
+
+
+def _point(position: Sequence[float] | np.ndarray) -> Any:
+    return TYPES.types['geometry_msgs/msg/Point'](*(float(value) for value in position))

@@ -10,13 +10,32 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
+
+
+class Motion(NamedTuple):
+    """
+    What was recorded of how frames lie: a pose of the reference array, or a transform of /tf.
+
+    after : points that were received before it
+    stamp : s
+    T_parent_child : (4, 4) float64, m; NaN where the message held no motion
+    parent, child : frames; no child: it is a pose of the reference array
+    fixed : whether it holds for all times
+    """
+
+    after: int
+    stamp: float
+    T_parent_child: Array
+    parent: str
+    child: str = ''
+    fixed: bool = False
 
 
 @dataclass(eq=False)
@@ -33,6 +52,7 @@ class Recording:
     source_names : topics, tools or files the points came from
     quality : (n,) float64, m, the tracker's own error estimate (NaN: unknown), or None
     strokes : (n,) int32, number of the stroke, or None if the source has no strokes
+    motions : of the reference array and of frames, in the order they were received
     dropped : samples the source itself marks as invalid, by cause
     notes : sentences on what was odd but could be read
     """
@@ -44,6 +64,7 @@ class Recording:
     source_names: Sequence[str] = ('',)
     quality: Array | None = None
     strokes: NDArray[np.int32] | None = None
+    motions: Sequence[Motion] = ()
     dropped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -92,7 +113,7 @@ def merge(recordings: Sequence[Recording]) -> Recording:
     Each recording keeps its own order, so that the gates still see a clock that ran backwards;
     without stamps they follow one another as given.  Sources of one name become one; strokes stay
     apart; where only some recordings have strokes, each of the others is one stroke; quality that
-    is unknown becomes NaN.
+    is unknown becomes NaN; a motion follows the point that it followed.
 
     Raises
     ------
@@ -118,9 +139,12 @@ def merge(recordings: Sequence[Recording]) -> Recording:
         quality=_joined_quality(recordings), strokes=_joined_strokes(recordings),
         dropped=dict(sum((Counter(r.dropped) for r in recordings), Counter())),
         notes=tuple(note for r in recordings for note in r.notes))
+    order = np.arange(len(whole))
     if stamps:
         latest_seen = np.concatenate([np.maximum.accumulate(s) for s in stamps])
-        _reorder(whole, np.argsort(latest_seen, kind='stable'))
+        order = np.argsort(latest_seen, kind='stable')
+        _reorder(whole, order)
+    whole.motions = _joined_motions(recordings, np.argsort(order))
     return whole
 
 
@@ -131,6 +155,18 @@ def _reorder(recording: Recording, order: NDArray[np.intp]) -> None:
         values = getattr(recording, name)
         if values is not None:
             setattr(recording, name, values[order])
+
+
+def _joined_motions(recordings: Sequence[Recording], rows: NDArray[np.intp]) -> list[Motion]:
+    """Return all motions; ``rows``: where each point of the recordings, as given, has gone."""
+    joined, first = [], 0
+    for r in recordings:
+        joined += [
+            motion._replace(after=int(rows[first + motion.after - 1]) + 1 if motion.after else 0)
+            for motion in r.motions
+        ]
+        first += len(r)
+    return sorted(joined, key=lambda motion: motion.after)
 
 
 def _joined_quality(recordings: Sequence[Recording]) -> Array | None:

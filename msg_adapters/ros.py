@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-ROS messages from arrays and results, and back; the only place that builds messages.
+ROS messages from arrays and results, and back; what is drawn is in `markers`.
 
 Metres, radians and seconds; quaternions x y z w; covariances row by row in the order x y z rx ry rz
 about fixed axes (REP-103).
@@ -29,17 +29,12 @@ from geometry_msgs.msg import (
 )
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Header
 
 from gsdf_registration.result import InputError
-from gsdf_registration.rigid import (
-    Array,
-    from_rt,
-    quaternion_from_rotation,
-    rotation_from_quaternion,
-)
+from gsdf_registration.rigid import Array, quaternion_from_rotation
 from msg_adapters import stamps
+from msg_adapters.motion import motion_from
 
 # a point of ~/points: name and type of its fields, each of four bytes
 CLOUD = [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('residual', '<f4'), ('weight', '<f4'),
@@ -72,13 +67,14 @@ def point_from(message: PointStamped) -> tuple[float, Array, str]:
 def pose_from(message: PoseStamped) -> tuple[float, Array, str]:
     """Return stamp (s), ``T_frame_body`` (4, 4), frame of a pose; `InputError` if no motion."""
     pose, header = message.pose, message.header
-    return stamp_to_seconds(header.stamp), _motion(pose.position, pose.orientation), header.frame_id
+    return (stamp_to_seconds(header.stamp), motion_from(pose.position, pose.orientation),
+            header.frame_id)
 
 
 def transform_from(message: TransformStamped) -> tuple[float, Array, str, str]:
     """Return stamp (s), ``T_parent_child`` (4, 4), parent, child; `InputError` if no motion."""
     motion, header = message.transform, message.header
-    return (stamp_to_seconds(header.stamp), _motion(motion.translation, motion.rotation),
+    return (stamp_to_seconds(header.stamp), motion_from(motion.translation, motion.rotation),
             header.frame_id, message.child_frame_id)
 
 
@@ -184,19 +180,6 @@ def diagnostic_status(name: str, level: bytes, message: str, values: Mapping[str
                             values=pairs)
 
 
-def surface_msg(points: ArrayLike, frame_id: str, stamp: Time, size: float = 0.002) -> MarkerArray:
-    """Return a surface as dots: ``points`` (n, 3) m in ``frame_id``, ``size`` m across."""
-    marker = Marker(header=Header(stamp=stamp, frame_id=frame_id),
-                    ns='surface',
-                    type=Marker.POINTS,
-                    action=Marker.ADD,
-                    points=[_point(point) for point in np.asarray(points)],
-                    scale=Vector3(x=size, y=size, z=size),
-                    color=ColorRGBA(r=0.9, g=0.87, b=0.78, a=1.0))
-    marker.pose.orientation.w = 1.0
-    return MarkerArray(markers=[marker])
-
-
 def _point(position: ArrayLike) -> Point:
     """Return a position (3,) m as a message."""
     x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
@@ -213,15 +196,3 @@ def _pose(T: ArrayLike) -> Pose:
     """Return a motion (4, 4) as a pose."""
     T = np.asarray(T, dtype=np.float64)
     return Pose(position=_point(T[:3, 3]), orientation=_quaternion(T))
-
-
-def _motion(position: Point | Vector3, rotation: Quaternion) -> Array:
-    """Return the motion (4, 4) of a position and a quaternion."""
-    t = [position.x, position.y, position.z]
-    if not np.isfinite(t).all():
-        raise InputError(f'a pose has the position {t}, which is not finite')
-    try:
-        return from_rt(rotation_from_quaternion([rotation.x, rotation.y, rotation.z, rotation.w]),
-                       t)
-    except ValueError as error:
-        raise InputError(f'a pose has no orientation: {error}') from None

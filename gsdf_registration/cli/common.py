@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib.util
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from gsdf_registration.result import RegistrationResult
     from gsdf_registration.rigid import Array
     from gsdf_registration.session import LandmarkPairs
+    from msg_adapters.recording import Recording
 
 
 def example(text: str) -> dict[str, Any]:
@@ -30,6 +33,16 @@ def example(text: str) -> dict[str, Any]:
 
 def add_registration_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `register` and `replay` have in common."""
+    add_start_options(parser)
+    parser.add_argument('--json',
+                        metavar='OUT',
+                        help='write the outcome as JSON; - for standard output')
+    parser.add_argument('--report', metavar='OUT.html', help='write a page to look at: what was '
+                        'found, how good it is, the points on the bone (needs the extra "report")')
+
+
+def add_start_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what a registration starts from."""
     parser.add_argument('--model-unit', choices=('mm', 'm'),
                         help='unit of the lengths in MODEL (default: mm)')
     parser.add_argument(
@@ -41,11 +54,6 @@ def add_registration_options(parser: argparse.ArgumentParser) -> None:
                         metavar='JSON',
                         help='first guess: {"T_tracker_bone": 4x4, metres}')
     parser.add_argument('--config', metavar='YAML', help='settings, as in config/registration.yaml')
-    parser.add_argument('--json',
-                        metavar='OUT',
-                        help='write the outcome as JSON; - for standard output')
-    parser.add_argument('--report', metavar='OUT.html', help='write a page to look at: what was '
-                        'found, how good it is, the points on the bone (needs the extra "report")')
 
 
 def read_config(path: str | None) -> Config:
@@ -96,6 +104,12 @@ def field_or_refusal(config: Config) -> Field | Refusal:
         if error.reason is not Reason.WRONG_UNIT:
             raise
         return error
+
+
+def read_recording(path: str, config: Config, topics: Sequence[str] | None = None) -> Recording:
+    """Return the points of a bag, with the motions by which the settings say to carry them."""
+    from msg_adapters.bag import read_bag
+    return read_bag(path, topics, config.reference.topic, frames=bool(config.points_frame))
 
 
 def read_initial(path: str | None) -> Array | None:
@@ -172,6 +186,17 @@ def counts_by_cause(rejected: Mapping[str, int]) -> str:
     """Return counts in words, those of zero left out."""
     return ', '.join(f'{count} {cause.replace("_", " ")}'
                      for cause, count in rejected.items() if count)
+
+
+@contextmanager
+def busy(what: str) -> Iterator[None]:
+    """Say on a terminal ``what`` takes a while; silent elsewhere."""
+    if not sys.stderr.isatty() or importlib.util.find_spec('rich') is None:
+        yield
+        return
+    from rich.console import Console
+    with Console(stderr=True).status(what):
+        yield
 
 
 def write_json(path: str | None, document: Any) -> None:

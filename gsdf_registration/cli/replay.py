@@ -129,12 +129,11 @@ def replay_bag(bag: str, job: Job) -> Outcome:
     from gsdf_registration.cli.result_json import result_to_json
     from gsdf_registration.cli.summary import summary, true_error
     from gsdf_registration.replay import replay
-    from msg_adapters.bag import read_bag
     from msg_adapters.truth import read_truth, truth_path
 
     started = time.perf_counter()
     try:
-        recording = read_bag(bag, job.topics)
+        recording = common.read_recording(bag, job.config, job.topics)
         truth = read_truth(truth_path(bag)) if truth_path(bag).is_file() else None
     except InputError as error:
         refused = RegistrationResult.refused(error.reason, error.message)
@@ -148,7 +147,7 @@ def replay_bag(bag: str, job: Job) -> Outcome:
         result, session = replay(recording, bone, job.config, job.landmarks, job.T_tracker_bone)
         status, points = session.status(), session.points().positions
         frame_id, rejected = status.frame_id or '', status.rejected
-        if truth is not None:
+        if truth is not None and frame_id in ('', truth.frame_id):
             against_truth = true_error(result, bone, truth.T_tracker_bone)
     document = result_to_json(
         result, job.config, frame_id=frame_id, points_sha256=common.sha256_of(bag),

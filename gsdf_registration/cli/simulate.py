@@ -13,6 +13,7 @@ from gsdf_registration.result import InputError
 if TYPE_CHECKING:
     from gsdf_registration.rigid import Array
     from gsdf_registration.simulation.interference import Interference
+    from gsdf_registration.simulation.moving import Sway
     from gsdf_registration.simulation.patch import Patch
     from gsdf_registration.simulation.probe import Drag, Tracker
 
@@ -24,10 +25,13 @@ RESOLUTION = 1e-5           # m; trackers report hundredths of a millimetre
 # what the truth says of how it was made
 ABOUT = ('region', 'points', 'rate', 'speed', 'sigma', 'distortion', 'outliers', 'interference',
          'dropouts', 'seed')
+# the array that moves with the patient
+ARRAY_TOPIC, ARRAY_FRAME, ARRAY_RATE = '/reference/pose', 'reference_array', 80.0   # Hz
 EXAMPLE = """\
 examples:
   gsdf simulate hip.ply --region acetabulum --points 600 --outliers 0.05 -o hip_run
   gsdf simulate femur.ply --region=-25,0,20,38 --rate 40 --sigma 0.4 -o femur_run
+  gsdf simulate hip.ply --region acetabulum --move 20,10 -o moving_run
 """
 
 
@@ -97,6 +101,10 @@ def add_parser(subparsers: Any) -> None:
         default=[],
         metavar='NAME=X,Y,Z',
         help='a model point to be touched first, missed by 2 to 4 mm; may be repeated')
+    parser.add_argument(
+        '--move', default='', metavar='MM/S,DEG/S',
+        help='the patient moves and turns so fast, with a reference array whose poses are on '
+        f'{ARRAY_TOPIC} and in whose frame the truth is told (default: still, without array)')
     parser.add_argument('--frame-id', default='tracker', help='(default: %(default)s)')
     parser.add_argument('--seed', type=int, default=0, help='(default: %(default)s)')
     parser.set_defaults(run=run)
@@ -106,6 +114,7 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write bag and truth, say so in one line; `InputError` for what cannot be."""
     import numpy as np
 
+    from gsdf_registration.rigid import inverse, transform
     from gsdf_registration.simulation.probe import Hand, drag, random_pose, rest
     from msg_adapters.truth import Truth, truth_path, write_truth
 
@@ -123,16 +132,20 @@ def run(args: argparse.Namespace) -> int:
                 interference=_interference(args),
                 hand=Hand(speed=_at_least(1.0, args.speed, '--speed') * 1e-3),
                 **settings)
-    means = np.array(
-        [touched.positions[touched.strokes == k].mean(axis=0) for k in range(len(names))])
-    _write_bag(args, touched, run_)
+    means = np.array([touched.positions[touched.strokes == k].mean(axis=0)
+                      for k in range(len(names))]).reshape(-1, 3)
     about = {option: getattr(args, option) for option in ABOUT}
+    frame_id, sway = args.frame_id, _sway(args, transform(T, patch.centre))
+    _write_bag(args, touched, run_, sway)
+    if sway is not None:
+        about['move'], frame_id = args.move, ARRAY_FRAME
+        T_array_tracker = inverse(sway.T_tracker_body)
+        T, means = T_array_tracker @ T, transform(T_array_tracker, means)
     about['outlier_share'] = round(1.0 - float(run_.on_bone.mean()), 4)
     write_truth(
         truth_path(args.output),
-        Truth(_relative(args.model, args.output), args.model_unit, args.frame_id, T, tuple(names),
-              places.round(7),
-              means.reshape(-1, 3).round(7), about))
+        Truth(_relative(args.model, args.output), args.model_unit, frame_id, T, tuple(names),
+              places.round(7), means.round(7), about))
     print(
         f'{args.output}: {len(run_.stamps)} points in {run_.stamps[-1]:.1f} s, '
         f'{int(run_.on_bone.sum())} of them on the bone, {len(names)} landmarks; '
@@ -140,17 +153,42 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag) -> None:
-    """Write the landmarks, then the run."""
+def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag, sway: Sway | None) -> None:
+    """Write the landmarks, then the run, and where the reference array was meanwhile."""
+    import numpy as np
+
+    from gsdf_registration.rigid import inverse, transform
     from msg_adapters.bag import LANDMARK_TOPIC, TIP_TOPIC, BagWriter
 
     with BagWriter(args.output) as bag:
         start = START
         for topic, part in ((LANDMARK_TOPIC, touched), (TIP_TOPIC, run_)):
-            for stamp, position in zip(part.stamps,
-                                       (part.positions / RESOLUTION).round() * RESOLUTION):
-                bag.write_point(topic, round(start + float(stamp), 6), position, args.frame_id)
+            for since, position in zip(part.stamps, part.positions):
+                stamp = round(start + float(since), 6)
+                if sway is not None:
+                    T_moved = sway.pose(stamp - START) @ inverse(sway.T_tracker_body)
+                    position = transform(T_moved, position)
+                bag.write_point(topic, stamp, (position / RESOLUTION).round() * RESOLUTION,
+                                args.frame_id)
             start += 3.0 + float(part.stamps.max(initial=0.0))
+        if sway is not None:
+            for stamp in np.arange(START - 1.0, start, 1.0 / ARRAY_RATE):
+                bag.write_pose(ARRAY_TOPIC, stamp, sway.pose(stamp - START), args.frame_id)
+
+
+def _sway(args: argparse.Namespace, wound: Array) -> Sway | None:
+    """Return how an array 0.1 m beside the wound (3,), m, moves; None if there is none."""
+    import numpy as np
+
+    from gsdf_registration.rigid import from_rt
+    from gsdf_registration.simulation.moving import Sway
+
+    if not args.move:
+        return None
+    speed, turn = _numbers(args.move, 2, '--move')
+    if min(speed, turn) < 0.0:
+        raise InputError(f'--move must not be negative, not "{args.move}"')
+    return Sway(from_rt(np.eye(3), wound + [0.1, 0.0, 0.0]), speed * 1e-3, np.radians(turn))
 
 
 def _relative(model: str, output: str) -> str:

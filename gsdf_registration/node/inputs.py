@@ -1,36 +1,130 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node hears: the tip of each probe."""
+"""What the node hears: the tip of each probe, the reference array, the frames of /tf, its clock."""
 
 from __future__ import annotations
 
+import time
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.clock import JumpThreshold, TimeJump
+from rclpy.duration import Duration
 
+from gsdf_registration.clock import BACK
+from gsdf_registration.collection import Rejection
 from gsdf_registration.config import Config
+from gsdf_registration.feed import Feed, Sample
+from gsdf_registration.frames import Frames
+from gsdf_registration.node import transforms
 from gsdf_registration.node.qos import POINTS
+from gsdf_registration.result import InputError
+from gsdf_registration.rigid import Array
 from msg_adapters import ros
+from msg_adapters.motion import NO_MOTION
 
 if TYPE_CHECKING:
     from gsdf_registration.node.node import RegistrationNode
 
+PERIOD = 0.1        # s, between two looks at whether a point has waited for too long
+RECENT = 3.0        # s for which it is told why points have been refused
+QUIET = 10.0        # s, between two lines of the log on the same thing
+
 
 class Inputs:
-    """Subscribes to the topics of ``config`` and hands what they bring to the node."""
+    """Hears the topics of ``config`` and hands their points to the node, in the session's frame."""
 
     def __init__(self, node: RegistrationNode, config: Config) -> None:
         self._node = node
+        self._feed = Feed(config, self, None)
+        self._refused = -RECENT     # when a point was last refused here, s
+        self._behind = 0.0      # s that the last message which tells of motion waited for us
+        self._frames: Frames | None = None
+        self._transforms: transforms.Transforms | None = None
         self._subscribed = [
             node.create_subscription(PointStamped, topic, partial(self._on_point, topic), POINTS)
             for topic in config.probe.topics]
+        if config.reference.topic:
+            on_pose: Any = self._on_pose    # of two arguments, which rclpy takes but does not say
+            self._subscribed.append(node.create_subscription(
+                PoseStamped, config.reference.topic, on_pose, POINTS))
+        self._timer = node.create_timer(PERIOD, self._look)
+        back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-BACK),
+                             on_clock_change=False)
+        self._jumps = node.get_clock().create_jump_callback(back, post_callback=self._on_jump)
+        self.configure(config)
+
+    def configure(self, config: Config) -> None:
+        """Work by these settings from now on; /tf costs time, so it is heard only when needed."""
+        wanted = bool(config.points_frame) and transforms.is_heard()
+        if wanted and self._transforms is None:
+            self._frames = Frames()
+            self._transforms = transforms.Transforms(self._node, self._on_transform)
+        elif not wanted and self._transforms is not None:
+            self._transforms.destroy()
+            self._frames = self._transforms = None
+        self._feed.configure(config, self._frames)
 
     def destroy(self) -> None:
         """Listen no more."""
+        self._jumps.unregister()
+        self._node.destroy_timer(self._timer)
         for subscription in self._subscribed:
             self._node.destroy_subscription(subscription)
+        if self._transforms is not None:
+            self._transforms.destroy()
 
-    def _on_point(self, topic: str, message: PointStamped) -> None:
+    def forget(self) -> None:
+        """Take what comes next as the first of a new session."""
+        self._feed.forget()
+
+    @property
+    def trouble(self) -> str:
+        """Why points are being refused before they reach the session; else an empty string."""
+        return self._feed.trouble if time.monotonic() - self._refused < RECENT else ''
+
+    def take(self, sample: Sample) -> None:
+        """Hand a point in the frame of the session to the node."""
+        self._node.take_point(sample.stamp, sample.position, sample.frame_id, sample.source,
+                              sample.arrival)
+
+    def refuse(self, sample: Sample, cause: Rejection) -> None:
+        """Count a point that does not reach the session."""
+        self._refused = time.monotonic()
+        self._node.session.count_dropped({cause.value: 1})
+
+    def start_anew(self, why: str) -> None:
+        """Have the node begin a new session."""
+        self._node.start_anew(why)
+
+    def _on_point(self, topic: str, message: PointStamped, info: dict[str, Any]) -> None:
         if self._node.state == 'active':
             stamp, position, frame_id = ros.point_from(message)
-            self._node.take_point(stamp, position.tolist(), frame_id, topic)
+            arrival = self._node.now() - transforms.waited_for_us(info)
+            self._feed.point(Sample(stamp, position.tolist(), frame_id, topic, arrival))
+
+    def _on_transform(self, parent: str, child: str, stamp: float, T: Array, fixed: bool,
+                      waited: float) -> None:
+        self._behind = waited
+        self._feed.transform(parent, child, stamp, T, fixed)
+
+    def _on_pose(self, message: PoseStamped, info: dict[str, Any]) -> None:
+        self._behind = transforms.waited_for_us(info)
+        try:
+            _, T, _ = ros.pose_from(message)
+        except InputError:
+            T = NO_MOTION
+        header = message.header
+        self._feed.pose(ros.stamp_to_seconds(header.stamp), T, header.frame_id)
+
+    def _on_jump(self, jump: TimeJump) -> None:
+        if self._node.state == 'active':
+            now = self._node.now()
+            self._feed.our_clock_went_back(now - jump.delta.nanoseconds * 1e-9, now)
+
+    def _look(self) -> None:
+        # what has been received but not been looked at yet may be what a point waits for
+        self._feed.serve(self._node.now() - self._behind)
+        self._behind = 0.0
+        if self.trouble:
+            self._node.get_logger().warning(self.trouble, throttle_duration_sec=QUIET)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from gsdf_registration.cli.main import main
-from gsdf_registration.cli.simulate import REGIONS, STRUCTURED
+from gsdf_registration.cli.simulate import ARRAY_FRAME, ARRAY_TOPIC, REGIONS, STRUCTURED
 from gsdf_registration.rigid import inverse, transform
 from gsdf_registration.simulation.interference import Interference
 from gsdf_registration.simulation.regions import RADIUS
@@ -60,7 +61,32 @@ def test_region_by_numbers(femur_bone: Path, tmp_path: Path) -> None:
     assert np.linalg.norm(points - [-0.025, 0.0, 0.0], axis=1).max() < 0.032
 
 
+def test_a_moving_patient_is_found_in_the_frame_of_the_array(
+        hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
+    places = {'asis': '33.9,58.3,78.2', 'rim': '10,-28,-12', 'spine': '-25,-45,30'}
+    marks = [word for mark in places.items() for word in ('--landmark', '='.join(mark))]
+    assert simulate(hip_bone, tmp_path / 'run', *marks, '--move', '20,10') == 0
+    truth = read_truth(tmp_path / 'run.yaml')
+    assert truth.frame_id == ARRAY_FRAME and truth.about['move'] == '20,10'
+    config = tmp_path / 'config.yaml'
+    config.write_text(f'reference: {{topic: {ARRAY_TOPIC}}}')
+    said = []
+    for options in ([], ['--config', str(config)]):
+        main(['replay', str(tmp_path / 'run'), '--model', str(hip_bone), '--landmarks',
+              str(tmp_path / 'run.yaml'), '--json', str(tmp_path / 'out.json'), *options])
+        said.append(capsys.readouterr().out)
+    outcome = json.loads((tmp_path / 'out.json').read_text())
+    assert outcome['success'] and outcome['bone_pose']['frame_id'] == ARRAY_FRAME
+    T = np.array(outcome['T_tracker_bone'])
+    assert np.linalg.norm((T - truth.T_tracker_bone)[:3, 3]) < 1e-3
+    assert 'true error' in said[1] and 'true error' not in said[0]
+
+
 @pytest.mark.parametrize('options, sentence', [
+    (['--move', '20'], '--move must be 2 numbers'),
+    (['--move', '20,-1'], '--move must not be negative'),
     (['--interference', 'gremlins:0.1'], '"gremlins" is not known'),
     (['--interference', 'resting:lots'], '--interference resting must be 1 number'),
     (['--outliers', '1.0'], 'shares of interference'),

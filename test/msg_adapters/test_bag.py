@@ -8,6 +8,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from gsdf_registration.result import InputError
+from gsdf_registration.rigid import exp
 from msg_adapters.bag import BagWriter, list_topics, read_bag
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -102,6 +103,44 @@ def test_all_types_that_carry_a_position(tmp_path, storage):
         ('/motion', 1), ('/point', 1), ('/pose', 1), ('/text', 1)]
     assert read_bag(path).source_names == ['/point']        # the only PointStamped topic
     assert '/text' in refusal(path, ['/text'])
+
+
+def pose_of(x, w=1.0):
+    return new('geometry_msgs/msg/Pose', new('geometry_msgs/msg/Point', x, 0.0, 0.0),
+               new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, w))
+
+
+def transforms(nanoseconds, *children):
+    header_ = header(nanoseconds, 'world')
+    motion = new('geometry_msgs/msg/Transform', new('geometry_msgs/msg/Vector3', 1.0, 2.0, 3.0),
+                 new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0))
+    return new('tf2_msgs/msg/TFMessage', [
+        new('geometry_msgs/msg/TransformStamped', header_, child, motion) for child in children])
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_poses_and_frames_lie_between_the_points_as_received(tmp_path, storage):
+    pose, tf = 'geometry_msgs/msg/PoseStamped', 'tf2_msgs/msg/TFMessage'
+    path = record(tmp_path / 'run', [
+        ('/tf_static', tf, 1, transforms(0, 'a', 'b')),
+        ('/array', pose, 2, new(pose, header(10**9), pose_of(1.0))),
+        ('/tip', POINT, 3, point(2 * 10**9, 7.0, 8.0, 9.0)),
+        ('/array', pose, 4, new(pose, header(3 * 10**9), pose_of(2.0, w=0.0))),
+        ('/tf', tf, 5, transforms(4 * 10**9, 'c')),
+        ('/tip', POINT, 6, point(5 * 10**9, 7.0, 8.0, 9.0))], storage)
+    points = read_bag(path, reference='/array', frames=True)
+    assert len(points) == 2 and points.source_names == ['/tip']
+    assert [(each.after, each.stamp, each.parent, each.child, each.fixed)
+            for each in points.motions] == [
+        (0, 0.0, 'world', 'a', True), (0, 0.0, 'world', 'b', True), (0, 1.0, 'tracker', '', False),
+        (1, 3.0, 'tracker', '', False), (1, 4.0, 'world', 'c', False)]
+    assert points.motions[1].T_parent_child[:3, 3].tolist() == [1, 2, 3]
+    assert points.motions[2].T_parent_child[:3, 3].tolist() == [1, 0, 0]
+    assert np.isnan(points.motions[3].T_parent_child).all()     # no orientation: left to be counted
+    assert [each.child for each in read_bag(path, reference='/array').motions] == ['', '']
+    assert not read_bag(path).motions
+    assert '/array' in refusal(path, None, '/elsewhere') and 'reference.topic' in refusal(
+        path, None, '/tip')
 
 
 def test_which_topic_is_the_tip(tmp_path):
@@ -216,6 +255,10 @@ def test_what_is_written_is_read_again(tmp_path):
         for stamp, position in zip(stamps, positions):
             bag.write_point('/probe/tip', stamp, position, 'tracker')
         bag.write_point('/probe/landmarks', stamps[0], [1, 2, 3], 'tracker')
+        bag.write_pose('/array', 1.5, exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0]), 'tracker')
+    pose, = read_bag(tmp_path / 'run', reference='/array').motions
+    assert (pose.stamp, pose.parent, pose.child) == (1.5, 'tracker', '')
+    np.testing.assert_allclose(pose.T_parent_child, exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0]), atol=1e-12)
     points = read_bag(tmp_path / 'run')
     np.testing.assert_array_equal(points.positions, positions)
     np.testing.assert_array_equal(points.stamps, stamps)

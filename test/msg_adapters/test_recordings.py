@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsdf_registration.result import InputError
-from msg_adapters.recording import Recording, merge
+from msg_adapters.recording import Motion, Recording, merge
 
 
 def recording(stamps, **known):
@@ -53,6 +53,16 @@ def test_merge_interleaves_by_stamp_and_keeps_what_belongs_together():
     assert strokes[0] == strokes[2] == strokes[5] and strokes[1] == strokes[3]
     assert len({strokes[0], strokes[1], strokes[4]}) == 3
     assert both.dropped == {'x': 3, 'y': 1} and both.notes == ('odd',)
+
+
+def test_merge_leaves_a_motion_behind_the_point_it_followed():
+    def motions(*after):
+        return [Motion(n, float(n), np.eye(4), 'tracker', child=f'{n}') for n in after]
+    a = recording([1.0, 3.0, 5.0], motions=motions(0, 2, 3))
+    b = recording([2.0, 4.0], motions=motions(0, 1, 1))
+    both = merge([a, b])
+    assert [(motion.after, motion.child) for motion in both.motions] == [
+        (0, '0'), (0, '0'), (2, '1'), (2, '1'), (3, '2'), (5, '3')]
 
 
 def test_merge_joins_sources_of_one_name():
