@@ -67,7 +67,7 @@ setup(
             'ros-jazzy-common-interfaces==5.3.6',
             'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
         ],
-        'report': ['plotly>=5'],
+        'report': ['matplotlib>=3.7', 'plotly>=5'],
         'bench': ['libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich', 'small_gicp>=1.0'],
         'test': [
             'pytest>=8',
@@ -77,6 +77,7 @@ setup(
             'mypy==2.4.1',
             'types-PyYAML',
             'scikit-image',
+            'matplotlib>=3.7',
             'plotly>=5',
             'colcon-common-extensions==0.3.0',
     # What builds tf2_msgs, see test/ros/tf2_msgs/build.py.

@@ -32,12 +32,14 @@ class Confidence:
     sigma : float, m, noise of a point along the surface normal
     pattern : float, how much more residuals of neighbours vary together than white noise would; 1
         for the right bone and tracker
+    inflation : float, tau >= 1, by which that makes the covariance larger, see `assess`
     """
 
     motion_covariance: Array
     centre: Array
     sigma: float
     pattern: float
+    inflation: float = 1.0
 
     def predicted_tre(self, targets: Array) -> Array:
         """Return the predicted TRE (n,) (RMS, m) at each of ``targets`` (n, 3), m, bone frame."""
@@ -73,6 +75,22 @@ class Confidence:
         return _screw(motion, self.centre, surface, names)
 
 
+def predicted_tre(T_tracker_bone: Array, covariance: Array, points: Array) -> Array:
+    """
+    Return the predicted TRE (n,) (RMS, m) at ``points`` (n, 3), m, bone frame, of a pose.
+
+    ``covariance`` (6, 6) is that of `Confidence.pose_covariance`: of the bone's origin (t) and its
+    attitude about fixed axes (r).  A point q of the bone is off by t + r x a, a = R q, and the mean
+    square of that is a quadratic in a, so that a whole surface takes no time.
+    """
+    C_tt, C_tr, C_rr = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
+    a = points @ T_tracker_bone[:3, :3].T
+    t_cross_r = np.array([C_tr[1, 2] - C_tr[2, 1], C_tr[2, 0] - C_tr[0, 2],
+                          C_tr[0, 1] - C_tr[1, 0]])
+    squared = ((a @ (np.trace(C_rr) * np.eye(3) - C_rr) + 2.0 * t_cross_r) * a).sum(axis=1)
+    return np.asarray(np.sqrt(np.trace(C_tt) + squared))
+
+
 def motion_at(arms: Array) -> Array:
     """Return B = [-(q - m)^, I], (n, 3, 6), for ``arms`` q - m (n, 3)."""
     B = np.zeros((len(arms), 3, 6))
@@ -103,6 +121,29 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
 
     """
     used = solution.weights > 0.0
+    w, e = solution.weights[used], solution.residuals[used]
+    if w.sum() < 6.0:
+        return None
+    variance = float((w * e**2).sum() / w.sum())
+    far, near = (_together(solution, neighbours[used, :max(1, neighbours.shape[1] // share)], w) /
+                 max(variance, 1e-300) for share in (1, 3))
+    return _confidence(solution, points, near, max(1.0, near, far))
+
+
+def reassess(before: Confidence, solution: Solution, points: Array) -> Confidence | None:
+    """
+    Return the confidence of a solution with a few more points than one ``before``.
+
+    How much residuals vary together is taken from there, for that takes the most time and hardly
+    changes.
+    """
+    return _confidence(solution, points, before.pattern, before.inflation)
+
+
+def _confidence(solution: Solution, points: Array, pattern: float,
+                inflation: float) -> Confidence | None:
+    """Return the confidence of a solution, the covariance of white noise made larger."""
+    used = solution.weights > 0.0
     J, w, e = solution.jacobian[used], solution.weights[used], solution.residuals[used]
     if w.sum() < 6.0:
         return None
@@ -112,12 +153,10 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
         return None
     variance = float((w * e**2).sum() / w.sum())
     psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
-    far, near = (_together(solution, neighbours[used, :max(1, neighbours.shape[1] // share)], w) /
-                 max(variance, 1e-300) for share in (1, 3))
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
-    C = max(1.0, near, far) * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
+    C = inflation * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
     centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
-    return Confidence(C, centre, float(np.sqrt(variance)), near)
+    return Confidence(C, centre, float(np.sqrt(variance)), pattern, inflation)
 
 
 def _together(solution: Solution, neighbours: NDArray[np.int64], weights: Array) -> float:

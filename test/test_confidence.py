@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from smooth_bone import ball_mesh, bone_field, field_of, touched
 
 from gsdf_registration import rigid
-from gsdf_registration.confidence import Confidence, assess
+from gsdf_registration.confidence import Confidence, assess, predicted_tre
 from gsdf_registration.config import SolverConfig
 from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array
@@ -170,3 +170,12 @@ def test_points_in_one_plane_claim_nothing() -> None:
     flat[:, [0, 1, 5]] = 0.0        # what turns about x or y or goes along z changes no distance
     assert assess(dataclasses.replace(solution, jacobian=flat), points,
                   nearest_neighbours(points, bone_field(), np.eye(4), 16)) is None
+
+
+def test_the_error_over_the_bone_follows_from_the_covariance_of_the_pose() -> None:
+    _, confidence = confidence_at(touched(300, 0, SIGMA), bone_field(), np.eye(4))
+    surface = bone_field().surface_points.astype(np.float64)
+    T_tracker_bone = rigid.exp([1.0, -0.5, 2.0, 0.3, -0.1, -1.5])
+    covariance = confidence.pose_covariance(T_tracker_bone)
+    np.testing.assert_allclose(predicted_tre(T_tracker_bone, covariance, surface),
+                               confidence.predicted_tre(surface), rtol=1e-6)

@@ -23,11 +23,9 @@ from gsdf_registration.cli.main import main
 from gsdf_registration.field import Field
 from gsdf_registration.registration import register
 from gsdf_registration.report import scene, write_report
-from gsdf_registration.report.surface import reduced
 from gsdf_registration.result import InputError, Reason, RegistrationResult
 from gsdf_registration.rigid import Array, quaternion_from_rotation, transform
 from msg_adapters.bag import BagWriter
-from msg_adapters.points import read_model
 
 OUTLIERS = 20
 ABOUT = {'model SHA-256': 'c0ffee' * 10, 'points': '<b>points</b>.csv'}
@@ -127,13 +125,6 @@ def test_points_are_where_they_were_touched(result: RegistrationResult, field: F
     assert high == pytest.approx([max(bone.x), max(bone.y), max(bone.z)], abs=1.0)
 
 
-def test_the_map_of_predicted_tre_agrees_with_the_result(result: RegistrationResult,
-                                                         field: Field) -> None:
-    tre = scene.predicted_tre(result, field.surface_points.astype(np.float64))
-    assert np.sqrt(np.mean(tre**2)) == pytest.approx(result.predicted_tre_m['rms'], rel=1e-6)
-    assert tre.max() == pytest.approx(result.predicted_tre_m['max'], rel=1e-6)
-
-
 @pytest.mark.parametrize('with_field', [True, False])
 def test_a_refusal_shows_the_reason_and_points_alone(tmp_path: Path, field: Field, points: Array,
                                                      with_field: bool) -> None:
@@ -167,21 +158,6 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, result: Registra
                                                 field: Field, points: Array) -> None:
     with pytest.raises(InputError, match='nowhere'):
         write_report(tmp_path / 'nowhere/a.html', result, field, points, title='t', about={})
-
-
-def test_a_surface_is_reduced_without_losing_its_shape() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
-    vertices, faces = reduced(ball.vertices, ball.faces.astype(np.int32), most=3000)
-    assert 1000 < len(faces) <= 3000 and faces.max() == len(vertices) - 1
-    thin = trimesh.Trimesh(vertices, faces, process=False)
-    assert np.linalg.norm(vertices, axis=1) == pytest.approx(0.05, abs=0.001)
-    assert thin.volume == pytest.approx(ball.volume, rel=0.03)
-
-
-def test_a_light_surface_stays_as_it_is(hip_bone: Path) -> None:
-    vertices, faces, _ = read_model(hip_bone, 'mm')
-    assert faces is not None
-    assert reduced(vertices, faces, most=len(faces))[1] is faces
 
 
 # --- the command line

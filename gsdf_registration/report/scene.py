@@ -9,9 +9,9 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from gsdf_registration.confidence import motion_at
+from gsdf_registration.confidence import predicted_tre
+from gsdf_registration.decimation import reduced
 from gsdf_registration.field import Field
-from gsdf_registration.report.surface import reduced
 from gsdf_registration.result import RegistrationResult, WeakestDirection
 from gsdf_registration.rigid import Array, transform
 
@@ -19,6 +19,7 @@ BONE, GREY = '#d8d3c8', '#6e7781'
 SIGNED = 'RdYlBu_r'     # yellow: on the surface
 HEAT = [[0, '#fff3b0'], [0.5, '#fb8d3c'], [1, '#99000d']]
 MOST_POINTS = 20_000    # more would only make the file heavy
+MOST_FACES = 30_000
 HEIGHT = 620            # pixels
 
 
@@ -52,25 +53,11 @@ def tracker_scene(points: Array) -> go.Figure:
     return go.Figure([_dots(points, 'points', size=2.5, color='#0969da')], _layout())
 
 
-def predicted_tre(result: RegistrationResult, points: Array) -> Array:
-    """
-    Return the predicted TRE (RMS, m) at ``points`` (n, 3), m, bone frame.
-
-    The result must have a covariance; as that is of the bone's origin and attitude about fixed
-    axes, a point q of the bone is moved by t + theta x R q.
-    """
-    assert result.T_tracker_bone is not None and result.covariance is not None
-    order = [3, 4, 5, 0, 1, 2]      # REP-103 has the translation first
-    C = result.covariance[np.ix_(order, order)]
-    B = motion_at(points @ result.T_tracker_bone[:3, :3].T)
-    return np.asarray(np.sqrt((B @ C * B).sum(axis=(1, 2))))
-
-
 def _bone(field: Field) -> go.Mesh3d | go.Scatter3d:
     """Return the bone; of a bone that came as a point cloud, the points."""
     if not len(field.faces):
         return _dots(field.surface_points, 'bone', size=1.5, color=BONE)
-    vertices, faces = reduced(field.vertices, field.faces)
+    vertices, faces = reduced(field.vertices, field.faces, MOST_FACES)
     x, y, z = _mm(vertices)
     i, j, k = np.ascontiguousarray(faces.T)
     return go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, name='bone', color=BONE, showlegend=True,
@@ -147,9 +134,10 @@ def _offer_tre(figure: go.Figure, result: RegistrationResult) -> None:
     """Let the reader colour the bone by predicted TRE instead of the points by residual."""
     bone = figure.data[0]
     corners = np.stack([bone.x, bone.y, bone.z], axis=1).astype(np.float64) / 1e3
-    tre = (1e3 * predicted_tre(result, corners)).astype(np.float32)
+    assert result.T_tracker_bone is not None and result.covariance is not None
+    tre = 1e3 * predicted_tre(result.T_tracker_bone, result.covariance, corners)
     plain = [[0, BONE], [1, BONE]]
-    bone.update(intensity=tre, colorscale=plain, showscale=False, hoverinfo=None,
+    bone.update(intensity=tre.astype(np.float32), colorscale=plain, showscale=False, hoverinfo=None,
                 colorbar=_bar('predicted<br>TRE, mm', x=-0.02),
                 hovertemplate='predicted TRE %{intensity:.2f} mm<extra></extra>')
     views = {'fit: residual of the points': (plain, False, True),

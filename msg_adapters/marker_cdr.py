@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A MarkerArray as the bytes that go over the wire, straight from arrays.
+
+For rclpy every corner of a triangle is a Python object of its own, and while it turns those of a
+bone into a message no other thread of the process runs: points and the live pose would wait.
+Publishers take bytes in place of a message.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from gsdf_registration.rigid import Array, quaternion_from_rotation
+
+
+class Shape(IntEnum):
+    """Marker types of visualization_msgs/Marker that we draw."""
+
+    ARROW = 0
+    CYLINDER = 3
+    SPHERE_LIST = 7
+    TEXT = 9
+    TRIANGLE_LIST = 11
+
+
+@dataclass(frozen=True, eq=False)
+class Marker:
+    """
+    One visualization_msgs/Marker; without a shape it deletes what it replaces.
+
+    ns, id : what it replaces
+    scale : m, x y z
+    pose : (4, 4) float, m, in the frame of the array
+    points : (n, 3) float, m, in the frame of ``pose``
+    colours : (3,) or (4,) float of all, or (n, 4) of each point, red green blue alpha in [0, 1]
+    text : of a label
+    """
+
+    ns: str
+    id: int
+    shape: Shape | None = None
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    pose: Array | None = None
+    points: Array | None = None
+    colours: Array | None = None
+    text: str = ''
+
+
+def to_bytes(markers: Sequence[Marker], frame_id: str) -> bytes:
+    """
+    Return markers in ``frame_id`` as a serialized visualization_msgs/MarkerArray.
+
+    They carry no stamp and are locked to their frame: whoever draws them uses the latest transform.
+    """
+    cdr = _Cdr()
+    cdr.pack('I', len(markers))
+    for marker in markers:
+        _write(cdr, marker, frame_id)
+    return cdr.joined()
+
+
+def _write(cdr: _Cdr, marker: Marker, frame_id: str) -> None:
+    """Write the fields in the order of visualization_msgs/Marker of Jazzy."""
+    add = marker.shape is not None
+    pose = np.eye(4) if marker.pose is None else marker.pose
+    colours = np.ones(4) if marker.colours is None else marker.colours
+    one = np.append(colours, 1.0)[:4] if colours.ndim == 1 else np.ones(4)
+    each = np.zeros((0, 4)) if colours.ndim == 1 else colours
+    cdr.pack('iI', 0, 0)                        # header: no stamp
+    cdr.text(frame_id)
+    cdr.text(marker.ns)
+    cdr.pack('iii', marker.id, marker.shape or 0, 0 if add else 2)     # ADD or DELETE
+    cdr.pack('3d4d', *pose[:3, 3], *quaternion_from_rotation(pose[:3, :3]))
+    cdr.pack('3d', *marker.scale)
+    cdr.pack('4f', *one)
+    cdr.pack('iI?', 0, 0, True)                 # for ever, locked to the frame
+    cdr.array(np.zeros((0, 3)) if marker.points is None else marker.points, '<f8')
+    cdr.array(each, '<f4')
+    cdr.text('')                                # no texture: name, image, coordinates
+    cdr.pack('iI', 0, 0)
+    cdr.text('')
+    cdr.text('')
+    cdr.pack('II', 0, 0)
+    cdr.text(marker.text)
+    cdr.text('')                                # no mesh: name, file, materials
+    cdr.text('')
+    cdr.pack('I?', 0, False)
+
+
+class _Cdr:
+    """Plain CDR, little endian (OMG DDSI-RTPS 2.3, 10.5): all is aligned to its own size."""
+
+    def __init__(self) -> None:
+        self._parts = [b'\x00\x01\x00\x00']     # says: little endian; not counted in alignment
+        self._size = 0
+
+    def joined(self) -> bytes:
+        return b''.join(self._parts)
+
+    def pack(self, kinds: str, *values: float) -> None:
+        """Write numbers; ``kinds`` as in struct, of the same size or falling."""
+        self._align(struct.calcsize(kinds.lstrip('0123456789')[0]))
+        self._add(struct.pack('<' + kinds, *values))
+
+    def text(self, text: str) -> None:
+        """Write a string, which ends with a zero."""
+        encoded = text.encode() + b'\x00'
+        self.pack('I', len(encoded))
+        self._add(encoded)
+
+    def array(self, rows: Array, kind: str) -> None:
+        """Write a sequence of structures of numbers of one kind."""
+        self.pack('I', len(rows))
+        if len(rows):
+            self._align(np.dtype(kind).itemsize)
+            self._add(np.ascontiguousarray(rows, dtype=kind).tobytes())
+
+    def _align(self, size: int) -> None:
+        self._add(bytes(-self._size % size))
+
+    def _add(self, part: bytes) -> None:
+        self._parts.append(part)
+        self._size += len(part)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What ~/markers shows: the bone, the points touched, where to touch next; metres, bone frame.
+
+Every function returns all markers of its namespaces, those that are not there any more as
+deletions: a message says all there is to be seen, so that nothing flickers, and a viewer that comes
+late or misses a message shows nothing stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsdf_registration.rigid import Array, from_rt
+from msg_adapters.marker_cdr import Marker, Shape
+
+MOST_POINTS = 4000      # more would be one blot
+MOST_PATCHES = 5        # numbered markers that a message speaks of
+POINT = 0.0025          # m, diameter of a touched point
+DOT = 0.002             # m, of a point of a bone that came as a point cloud
+PATCH = 0.016           # m, diameter of a patch to touch
+ARROW = 0.03            # m, from the tail to the patch
+LETTER = 0.008          # m, height of a capital
+
+
+def bone(vertices: Array, faces: NDArray[np.int32], colours: Array) -> list[Marker]:
+    """
+    Return the surface of the bone.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float, m
+    faces : (m, 3) int
+        Without any, the vertices are drawn as dots.
+    colours : (n, 3) float
+        Of the vertices, red green blue in [0, 1].
+
+    """
+    if not len(faces):
+        return [Marker('bone', 0, Shape.SPHERE_LIST, (DOT, DOT, DOT), points=vertices,
+                       colours=_opaque(colours))]
+    return [Marker('bone', 0, Shape.TRIANGLE_LIST, points=vertices[faces].reshape(-1, 3),
+                   colours=_opaque(colours)[faces].reshape(-1, 4))]
+
+
+def points(positions: Array, colours: Array) -> list[Marker]:
+    """Return touched points (n, 3), m, in their colours (n, 3); evenly thinned out if too many."""
+    if not len(positions):
+        return [Marker('points', 0)]
+    every = -(-len(positions) // MOST_POINTS)
+    return [Marker('points', 0, Shape.SPHERE_LIST, (POINT, POINT, POINT),
+                   points=positions[::every], colours=_opaque(colours[::every]))]
+
+
+def patches(positions: Array, normals: Array, labels: Sequence[str], colour: Array) -> list[Marker]:
+    """
+    Return patches to touch next: a disc on the bone, an arrow to it, a label above.
+
+    Parameters
+    ----------
+    positions, normals : (n, 3) float, m
+        On the bone, best first; the first `MOST_PATCHES` are shown.
+    labels : sequence of n str
+    colour : (3,) float
+
+    """
+    markers = []
+    for k in range(MOST_PATCHES):
+        if k < len(positions):
+            pose = from_rt(_upright(normals[k]), positions[k])
+            tail = np.array([[0.0, 0.0, ARROW], [0.0, 0.0, 0.0]])
+            label = from_rt(np.eye(3), positions[k] + (ARROW + LETTER) * normals[k])
+            markers += [
+                Marker('patch', k, Shape.CYLINDER, (PATCH, PATCH, 0.1 * PATCH), pose,
+                       colours=np.append(colour, 0.7)),
+                Marker('patch_arrow', k, Shape.ARROW, (0.1 * ARROW, 0.2 * ARROW, 0.3 * ARROW), pose,
+                       points=tail, colours=colour),
+                Marker('patch_label', k, Shape.TEXT, (0.0, 0.0, LETTER), label, colours=colour,
+                       text=labels[k])]
+        else:
+            markers += [Marker(name, k) for name in ('patch', 'patch_arrow', 'patch_label')]
+    return markers
+
+
+def _opaque(colours: Array) -> Array:
+    """Return colours (n, 3) with an alpha of one."""
+    return np.column_stack([colours, np.ones(len(colours))])
+
+
+def _upright(normal: Array) -> Array:
+    """Return a rotation (3, 3) that turns z into ``normal``."""
+    aside = np.eye(3)[np.argmin(np.abs(normal))]
+    x = np.cross(aside, normal)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(normal, x), normal])

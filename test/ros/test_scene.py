@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be seen on the topics of the node, and that the shipped layouts listen to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point
+from rclpy.qos import DurabilityPolicy
+from ros_support import Client, NodeProcess, Tracker
+from test_layouts import FOXGLOVE, LATCHED, rviz_topics
+from visualization_msgs.msg import Marker, MarkerArray
+
+pytestmark = pytest.mark.ros
+STILL = np.eye(4)
+
+
+def positions(points: list[Point]) -> np.ndarray:
+    return np.array([[point.x, point.y, point.z] for point in points])
+
+
+def test_who_comes_late_sees_the_bone_and_the_points_on_it(tracker: Tracker,
+                                                           shared_node: NodeProcess) -> None:
+    tracker.touch_landmarks(STILL)
+    tracker.drag(STILL)
+    answer = tracker.client.ask('register')
+    assert answer.success, answer.message
+
+    def complete(array: MarkerArray) -> bool:
+        return any(marker.ns == 'points' and marker.points for marker in array.markers)
+    with Client(shared_node) as screen:
+        shown = {(marker.ns, marker.id): marker
+                 for marker in screen.hear(MarkerArray, '~/markers', accept=complete).markers}
+    bone, points = shown['bone', 0], shown['points', 0]
+    assert {marker.header.frame_id for marker in shown.values()} == {'bone'}
+    assert bone.type == Marker.TRIANGLE_LIST and len(bone.colors) == len(bone.points)
+    assert 0.1 < np.ptp(positions(bone.points), axis=0).max() < 0.3     # metres
+    # most points lie on the bone as it is drawn, a few millimetres coarse
+    corners = positions(bone.points)
+    off = np.array([np.linalg.norm(corners - point, axis=1).min()
+                    for point in positions(points.points)])
+    assert np.median(off) < 0.005
+    assert len({(c.r, c.g, c.b) for c in points.colors}) > 10
+    assert shown['patch', 0].action == Marker.DELETE    # the pose is held: nothing more to touch
+
+
+def test_every_topic_of_the_layouts_is_one_of_the_node(tracker: Tracker) -> None:
+    node = tracker.client.node
+    ours = {topic: settings for topic, settings in rviz_topics().items()
+            if topic.startswith('/registration/')}
+    for topic, settings in ours.items():
+        tracker.client.spin_until(lambda topic=topic: node.get_publishers_info_by_topic(topic),
+                                  f'nobody publishes {topic}')
+        publisher, = node.get_publishers_info_by_topic(topic)
+        assert (publisher.node_name, publisher.topic_type) == ('registration', settings['message'])
+        latched = publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        assert latched is (topic in LATCHED), topic
+    for topic in rviz_topics().keys() - ours.keys():
+        assert node.get_subscriptions_info_by_topic(topic)
+    panels = FOXGLOVE['configById']
+    said = {panels[panel].get('topicPath', '').rpartition('.')[0] or panels[panel]['topicToRender']
+            for panel in panels if panel.startswith(('RawMessages', 'Diagnostic'))}
+    assert said <= {topic for topic, _ in node.get_topic_names_and_types()}
+    called = {panel['serviceName'] for panel in panels.values() if 'serviceName' in panel}
+    assert called <= {service for service, _ in node.get_service_names_and_types()}

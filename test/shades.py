@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is seen in a picture, by its colours."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gsdf_registration import colours
+from gsdf_registration.rigid import Array
+
+
+def like(image: Array, colour: str) -> Array:
+    """Return which pixels (h, w) are of this colour, in whatever light."""
+    hue = colours.rgb(colour) / np.linalg.norm(colours.rgb(colour))
+    shade = image / np.maximum(np.linalg.norm(image, axis=-1, keepdims=True), 1e-9)
+    return np.asarray((shade @ hue > 0.99) & (image.min(axis=-1) < 0.9))
