@@ -23,8 +23,13 @@ ERRORS = {'rotation': ('MAE of rotation, degrees', 0),
 
 def page(rows: Sequence[Row]) -> str:
     """Return a page of HTML that needs no network, a picture for each error and axis."""
-    pictures = [_picture(rows, against, error) for against in AXES for error in ERRORS]
-    return '<!DOCTYPE html>\n<meta charset="utf-8">\n<title>gsdf bench paper</title>\n' + '\n'.join(
+    return document('gsdf bench paper',
+                    [_picture(rows, against, error) for against in AXES for error in ERRORS])
+
+
+def document(title: str, pictures: Sequence[go.Figure]) -> str:
+    """Return a page of HTML that needs no network."""
+    return f'<!DOCTYPE html>\n<meta charset="utf-8">\n<title>{title}</title>\n' + '\n'.join(
         picture.to_html(full_html=False, include_plotlyjs=number == 0)
         for number, picture in enumerate(pictures))
 

@@ -117,8 +117,8 @@ def cramer_rao(problem: Problem) -> Confidence:
 
 def share_of_limits(problem: Problem, bound: Confidence, config: Config) -> float:
     """Return how much of what it may be the bound of the TRE is, where most; 1: it just passes."""
-    return max(rms(bound.predicted_tre(targets)) / limit
-               for _, targets, limit in places_that_matter(problem.touched, problem.field, config))
+    return max(rms(bound.predicted_tre(place.targets)) / place.limit
+               for place in places_that_matter(problem.touched, problem.field, config))
 
 
 def well_posed(problem: Problem, bound: Confidence | None, config: Config) -> bool:

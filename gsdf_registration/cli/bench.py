@@ -8,7 +8,7 @@ from typing import Any
 
 from gsdf_registration.cli.common import example
 
-BENCHES = ('field', 'solve', 'search', 'trust', 'paper')
+BENCHES = ('field', 'solve', 'search', 'trust', 'paper', 'guided', 'live')
 
 
 def add_parser(subparsers: Any) -> None:
