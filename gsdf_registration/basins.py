@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gsdf_registration import rigid
 from gsdf_registration.config import Config, SolverConfig
 from gsdf_registration.field import Field
+from gsdf_registration.result import Cancelled
 from gsdf_registration.rigid import Array
 from gsdf_registration.solver import Solution, nearest_neighbours, solve
 from gsdf_registration.solver.consensus import SCATTER, consensus
@@ -100,8 +101,12 @@ def _scatter(solution: Solution, neighbours: NDArray[np.int64]) -> float:
     return max(white, float(np.sqrt((w * mean**2).sum() / max(w.sum(), 1e-9))))
 
 
-def solve_all(points: Array, field: Field, starts: Sequence[Array], config: Config,
-              history: bool = False) -> list[Solution]:
+def solve_all(points: Array,
+              field: Field,
+              starts: Sequence[Array],
+              config: Config,
+              history: bool = False,
+              cancelled: Callable[[], bool] | None = None) -> list[Solution]:
     """
     Return the local solution from each start, and others where not all points fit the best.
 
@@ -115,9 +120,18 @@ def solve_all(points: Array, field: Field, starts: Sequence[Array], config: Conf
     starts : (4, 4) float each, T_bone_tracker
     config : Config
     history : whether to keep every step
+    cancelled : asked before each solution; a true answer ends the work
+
+    Raises
+    ------
+    Cancelled
 
     """
-    near = partial(solve, points, field, config=config.solver, history=history)
+    def near(start: Array, **more: Any) -> Solution:
+        if cancelled is not None and cancelled():
+            raise Cancelled
+        return solve(points, field, start, config.solver, history, **more)
+
     with ThreadPoolExecutor(config.search.threads or os.cpu_count() or 1) as pool:
         solutions = list(pool.map(near, starts))
         if config.solver.method == 'paper':

@@ -55,7 +55,8 @@ class Confidence:
         (xi x m - phi) and the attitude by -R xi.
         """
         R = T_tracker_bone[:3, :3]
-        G = np.block([[-R @ rigid.skew(self.centre), -R], [-R, np.zeros((3, 3))]])
+        G = np.zeros((6, 6))
+        G[:3, :3], G[:3, 3:], G[3:, :3] = -R @ rigid.skew(self.centre), -R, -R
         C = G @ self.motion_covariance @ G.T
         return np.asarray(0.5 * (C + C.T))
 
@@ -149,7 +150,10 @@ def _confidence(solution: Solution, points: Array, pattern: float,
         return None
     H = (J.T * np.clip(solution.curvature[used], 0.0, None)) @ J
     scale = np.sqrt(np.diag(H))
-    if not np.all(scale > 0.0) or np.linalg.cond(H / np.outer(scale, scale)) > 1e10:
+    if not np.all(scale > 0.0):
+        return None
+    held = np.linalg.eigvalsh(H / np.outer(scale, scale))
+    if held[0] < 1e-10 * held[-1]:
         return None
     variance = float((w * e**2).sum() / w.sum())
     psi2 = float(((w * e) ** 2).sum() / (w**2).sum())

@@ -8,6 +8,7 @@ You need none of this to run the system; the defaults are meant to do.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from gsdf_registration.result import InputError
 
 def _setting(default: Any, description: str, unit: str = '', low: float | None = None,
              high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False) -> Any:
-    """Declare a field with what a ROS parameter descriptor needs; ``fixed``: not while running."""
+    """Declare a field with what a ROS parameter needs; ``fixed``: read at configuring."""
     about = {'description': description, 'unit': unit, 'low': low, 'high': high,
              'choices': choices, 'fixed': fixed}
     if isinstance(default, list):
@@ -42,8 +43,9 @@ class ModelConfig:
 class ProbeConfig:
     """Where points come from."""
 
-    topics: list[str] = _setting(['/probe/tip'], 'PointStamped topics of the probe tip', fixed=True)
-    frame_id: str = _setting('', 'frame the points must be in; empty: that of the first point')
+    topics: list[str] = _setting(['/probe/tip'], 'PointStamped topics of the probe tip')
+    frame_id: str = _setting('', 'frame the points must be in, or that /tf leads to; empty: that '
+                             'of the first point')
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ class GateConfig:
     max_speed: float = _setting(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0,
                                 100.0)
     max_gap: float = _setting(0.5, 'a longer silence starts a new stroke', 's', 0.0, 3600.0)
+    lift_speed: float = _setting(0.1, 'a tip faster than this has lifted off, which starts a new '
+                                 'stroke, as does its landing; 0: never', 'm/s', 0.0, 100.0)
     min_distance: float = _setting(0.0, 'a point this near to the last one is a duplicate', 'm',
                                    0.0, 0.01)
     max_age: float = _setting(0.5, 'a point older than this when it arrives is refused', 's', 0.0,
@@ -159,15 +163,15 @@ class LimitsConfig:
     min_inliers: float = _setting(0.5, 'share of the points on strokes that must lie on the bone',
                                   '', 0.0, 1.0)
     max_pattern: float = _setting(
-        1.8, 'residuals that vary together along the strokes this many times more than noise '
+        1.55, 'residuals that vary together along the strokes this many times more than noise '
         'does are not of this bone', '', 1.0, 1000.0)
     clear_inliers: float = _setting(
-        0.96, 'with this share of the points on the bone a pattern is put down to the model', '',
+        0.93, 'with this share of the points on the bone a pattern is put down to the model', '',
         0.0, 1.0)
     max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker',
                                 'm', 1e-5, 0.1)
     min_gap: float = _setting(
-        18.0, 'natural logarithm of how much likelier the pose must be than any other; less is '
+        24.0, 'natural logarithm of how much likelier the pose must be than any other; less is '
         'ambiguous', '', 0.0, 1e6)
     max_predicted_tre: float = _setting(
         0.002, 'predicted TRE (RMS) allowed at the targets; without any, on the bone within 100 mm '
@@ -185,6 +189,16 @@ class TargetsConfig:
 
     names: list[str] = _setting([], 'targets at which TRE is predicted')
     positions: list[float] = _setting([], 'their positions, x y z each, bone frame', 'm')
+
+
+@dataclass(frozen=True)
+class GuidanceConfig:
+    """Where to touch next."""
+
+    reach: float = _setting(0.05, 'places on the bone this near to what was touched are proposed',
+                            'm', 0.01, 1.0)
+    near: list[str] = _setting([], 'landmarks or targets near which places are proposed instead, '
+                               'such as the middle of what the wound exposes')
 
 
 @dataclass(frozen=True)
@@ -219,6 +233,7 @@ class Config:
     solver: SolverConfig = field(default_factory=SolverConfig)
     limits: LimitsConfig = field(default_factory=LimitsConfig)
     targets: TargetsConfig = field(default_factory=TargetsConfig)
+    guidance: GuidanceConfig = field(default_factory=GuidanceConfig)
     tf: TfConfig = field(default_factory=TfConfig)
     session: SessionConfig = field(default_factory=SessionConfig)
 
@@ -264,8 +279,10 @@ class Config:
         changes: dict[str, dict[str, Any]] = {}
         for name, value in values.items():
             if name not in known:
-                raise InputError(f'unknown parameter "{name}"; known ones are listed in '
-                                 'config/registration.yaml')
+                alike = difflib.get_close_matches(name, known, 1)
+                raise InputError(f'unknown parameter "{name}"; '
+                                 + (f'did you mean {alike[0]}? All' if alike else 'known ones')
+                                 + ' are listed in config/registration.yaml')
             section, key = name.split('.')
             changes.setdefault(section, {})[key] = _checked(name, value, known[name])
         config = dataclasses.replace(self, **{
@@ -276,7 +293,18 @@ class Config:
             if len(points.positions) != 3 * len(points.names):
                 raise InputError(f'{section}.positions holds {len(points.positions)} numbers for '
                                  f'{len(points.names)} names; give x y z for each')
+            if len(set(points.names)) < len(points.names):
+                raise InputError(f'{section}.names holds a name twice; name each by its own')
+        for name in config.guidance.near:
+            if name not in config.landmarks.names + config.targets.names:
+                raise InputError(f'guidance.near names "{name}", which is neither a landmark nor a '
+                                 'target; add it to landmarks.names or targets.names')
         return config
+
+    @property
+    def points_frame(self) -> str:
+        """Frame in which a session holds its points; empty: that of the first one."""
+        return self.reference.frame_id if self.reference.topic else self.probe.frame_id
 
     def flat(self) -> dict[str, Any]:
         """Return all settings by dotted name."""
@@ -318,7 +346,7 @@ def _checked(name: str, value: Any, setting: dataclasses.Field[Any]) -> Any:
     about = setting.metadata
     default = default_of(setting)
     if isinstance(default, list):
-        item = str if 'topics' in name or 'names' in name else float
+        item = float if name.endswith('positions') else str
         is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
         if not is_list or not all(_fits(v, item) for v in value):
             raise InputError(f'{name} must be a list of {item.__name__}, not {value!r}')

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +15,7 @@ from gsdf_registration.confidence import assess
 from gsdf_registration.config import Config, LimitsConfig
 from gsdf_registration.density import first_of_each, on_strokes
 from gsdf_registration.field import Field
-from gsdf_registration.judgement import describe, judge, length, summary
+from gsdf_registration.judgement import Finding, describe, length, objections, summary
 from gsdf_registration.landmarks import pose_from_landmarks
 from gsdf_registration.result import InputError, Reason, Refusal, RegistrationResult, as_numbers
 from gsdf_registration.rigid import Array
@@ -70,12 +69,13 @@ def register(points: ArrayLike,
         dense = on_strokes(points, config.search.radius) & first_of_each(points)
         # Round the guess, if there is one; anywhere, if there is none or its result is doubtful
         for start in (None,) if guess is None else (guess, None):
-            known, refusal = _attempt(points, dense, start, field, config, cancelled, progress,
-                                      history)
+            found = attempt(points, dense, start, field, config, cancelled, progress, history)
+            refusal = next(objections(found, points[dense], field, config), None)
             if refusal is None:
                 break
     except Refusal as bad:
         return RegistrationResult.refused(bad.reason, bad.message, received=received)
+    known = found.known
     known['received'] = received
     known['timing_s']['total'] = perf_counter() - started
     if refusal is None:
@@ -86,33 +86,44 @@ def register(points: ArrayLike,
            for key in known.keys() - {'T_tracker_bone', 'covariance'}})
 
 
-def _attempt(
-    points: Array,
-    dense: NDArray[np.bool_],
-    guess: Array | None,
-    field: Field,
-    config: Config,
-    cancelled: Callable[[], bool] | None,
-    progress: Callable[[float], None] | None,
-    history: bool,
-) -> tuple[dict[str, Any], Refusal | None]:
-    """Return what is known of the best pose round ``guess`` or anywhere, and why not to use it."""
+def attempt(points: Array,
+            dense: NDArray[np.bool_],
+            guess: Array | None,
+            field: Field,
+            config: Config,
+            cancelled: Callable[[], bool] | None = None,
+            progress: Callable[[float], None] | None = None,
+            history: bool = False) -> Finding:
+    """
+    Return the best pose round ``guess``, T_bone_tracker, or anywhere; `objections` judges it.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, metres, tracker frame
+    dense : (n,) bool, which of them to use
+
+    Raises
+    ------
+    Cancelled
+
+    """
     used = points[dense]
     started = perf_counter()
     # Where the bone may be
     basins = find_basins(used, field, config.search, guess, cancelled,
                          progress)[:config.search.solutions]
-    found = perf_counter()
+    searched = perf_counter()
     # The best of the local solutions, and the next-best elsewhere
     starts = [*basins] if guess is None else [guess, *basins]
-    choice = choose(solve_all(used, field, starts, config, history), used, field, config.solver)
-    # How good is it, and is that good enough?
+    choice = choose(solve_all(used, field, starts, config, history, cancelled), used, field,
+                    config.solver)
+    # How good is it?
     around = nearest_neighbours(used, field, choice.solution.T_bone_tracker,
                                 3 * config.solver.neighbours)
     confidence = assess(choice.solution, used, around)
-    known = describe(choice, confidence, dense, field, config)
-    known['timing_s'] = {'search': found - started, 'solve': perf_counter() - found}
-    return known, judge(known, choice, confidence, used, field, config)
+    found = describe(choice, confidence, dense, field, config)
+    found.known['timing_s'] = {'search': searched - started, 'solve': perf_counter() - searched}
+    return found
 
 
 def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:

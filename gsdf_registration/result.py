@@ -39,12 +39,15 @@ class Refusal(Exception):
 
     Raised at the door of every function that cannot give a true answer; the node and the command
     line turn it into their own form of "no".
+
+    ``touch``: where a touch would help, as in "touch the bone near X"; empty if none would.
     """
 
-    def __init__(self, reason: Reason, message: str) -> None:
+    def __init__(self, reason: Reason, message: str, touch: str = '') -> None:
         super().__init__(message)
         self.reason = reason
         self.message = message
+        self.touch = touch
 
 
 class InputError(Refusal):
@@ -52,6 +55,14 @@ class InputError(Refusal):
 
     def __init__(self, message: str, reason: Reason = Reason.BAD_INPUT) -> None:
         super().__init__(reason, message)
+
+
+class Cancelled(Refusal):
+    """The work was ended by who asked for it."""
+
+    def __init__(self) -> None:
+        super().__init__(Reason.NOT_CONVERGED,
+                         'the registration was cancelled; the points are kept')
 
 
 def as_numbers(values: ArrayLike, what: str) -> Array:

@@ -25,7 +25,7 @@ from gsdf_registration.config import SearchConfig
 from gsdf_registration.density import crowded, own_axes, parts, spread_sample, thinned
 from gsdf_registration.descent import descend, glance
 from gsdf_registration.field import Field
-from gsdf_registration.result import Reason, Refusal
+from gsdf_registration.result import Cancelled
 from gsdf_registration.rigid import Array
 
 GLANCE = 16         # points of the first look at a start
@@ -84,8 +84,7 @@ def find_basins(points: Array,
 
     Raises
     ------
-    Refusal
-        If cancelled.
+    Cancelled
 
     """
     chosen = thinned(points, config.spacing)
@@ -173,8 +172,7 @@ class _Work:
             results.append(task.result())
             if self.cancelled is not None and self.cancelled():
                 self.pool.shutdown(cancel_futures=True)
-                raise Refusal(Reason.NOT_CONVERGED,
-                              'the registration was cancelled; the points are kept')
+                raise Cancelled
             self.done += step
             if self.progress is not None:
                 self.progress(min(self.done, 1.0))

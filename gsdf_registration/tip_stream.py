@@ -17,6 +17,8 @@ from gsdf_registration.config import GateConfig
 
 # this many in a row that agree outweigh what went before: a single reading may be wild
 AGREEING = 3
+# s, over which speed is judged at least: at 1 kHz the noise of two readings alone makes a fast tip
+SHORTEST = 0.01
 # s, over which the speed of the hand is taken: it outlasts a jerk, and the tracker's noise is small
 LIFT_WINDOW = 0.2
 LANDED = 0.7        # of ``gate.lift_speed``: a tip in the air is down again when it is slower
@@ -165,4 +167,4 @@ class TipStream:
 
 
 def _too_fast(a: Position, stamp_a: float, b: Position, stamp_b: float, gate: GateConfig) -> bool:
-    return math.dist(a, b) > gate.max_speed * (stamp_b - stamp_a)
+    return math.dist(a, b) > gate.max_speed * max(stamp_b - stamp_a, SHORTEST)

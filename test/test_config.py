@@ -99,7 +99,8 @@ def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
 
 
 @pytest.mark.parametrize(('values', 'sentence'), [
-    ({'gate.max_sped': 0.5}, 'unknown parameter "gate.max_sped"'),
+    ({'gate.max_sped': 0.5}, 'unknown parameter "gate.max_sped"; did you mean gate.max_speed?'),
+    ({'nothing': 0.5}, 'unknown parameter "nothing"; known ones are listed'),
     ({'gate': 0.5}, 'unknown parameter "gate"'),
     ({'gate.max_speed': 'fast'}, 'gate.max_speed must be a finite number'),
     ({'gate.max_speed': True}, 'gate.max_speed must be a finite number'),
@@ -121,6 +122,7 @@ def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
      'must be a list of float'),
     ({'landmarks.names': ['a']}, 'landmarks.positions holds 0 numbers for 1 names'),
     ({'targets.positions': [0.0, 0.0]}, 'targets.positions holds 2 numbers for 0 names'),
+    ({'targets.names': ['a', 'a'], 'targets.positions': 6 * [0.0]}, 'holds a name twice'),
 ])
 def test_what_cannot_be_used_is_refused_in_a_sentence(values: dict[str, Any],
                                                       sentence: str) -> None:

@@ -40,7 +40,7 @@ def refused(result: RegistrationResult, *reasons: Reason) -> str:
     assert not result.success
     assert result.T_tracker_bone is None and result.T_bone_tracker is None
     assert result.covariance is None
-    assert re.fullmatch(r'\S[^\n]{20,300}', result.message)
+    assert re.fullmatch(r'\S[^\n]{20,400}', result.message)
     return result.message
 
 

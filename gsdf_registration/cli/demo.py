@@ -64,10 +64,11 @@ def run(args: argparse.Namespace) -> int:
     bag, truth = truth_file.with_suffix(''), read_truth(truth_file)
     say = Narrator()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))       # the processes end with us
-    with own_domain() as environment:
+    with own_domain() as environment, tempfile.TemporaryDirectory() as folder:
         os.environ.update(environment)
         say(f'starting the node on ROS domain {environment["ROS_DOMAIN_ID"]}')
-        with running(node_command(truth_file.parent / truth.model, truth), 'the node') as node, \
+        command = node_command(truth_file.parent / truth.model, truth, f'{folder}/session.json')
+        with running(command, 'the node') as node, \
                 Operator(patience=STARTUP, alive=lambda: node.poll() is None) as operator:
             await_ready(operator)
             say(f'the node is active, its bone is {truth.model}; '
@@ -104,7 +105,7 @@ class Narrator:
         print(f'[{time.monotonic() - self._start:5.1f} s] {text}', flush=True)
 
 
-def node_command(model: Path, truth: Truth) -> list[str]:
+def node_command(model: Path, truth: Truth, session: str) -> list[str]:
     """
     Return the command that starts the node for a recording.
 
@@ -113,7 +114,8 @@ def node_command(model: Path, truth: Truth) -> list[str]:
     numbers = ', '.join(repr(float(number)) for number in truth.landmarks_model.ravel())
     values = {'model.path': model, 'model.unit': truth.model_unit, 'collect.automatic': 'false',
               'probe.topics': "['/probe/tip', '/probe/landmarks']",
-              'landmarks.names': list(truth.landmark_names), 'landmarks.positions': f'[{numbers}]'}
+              'landmarks.names': list(truth.landmark_names), 'landmarks.positions': f'[{numbers}]',
+              'session.path': session}
     parameters = [word for name, value in values.items() for word in ('-p', f'{name}:={value}')]
     return [sys.executable, '-m', 'gsdf_registration.node.main', '--ros-args', *parameters]
 

@@ -16,9 +16,10 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from gsdf_registration import __version__
+from gsdf_registration.cli.common import example
 from gsdf_registration.result import Refusal
 
-SUBCOMMANDS = ('build', 'register', 'replay', 'import_ndi', 'simulate', 'demo', 'bench')
+SUBCOMMANDS = ('build', 'register', 'replay', 'import_ndi', 'simulate', 'show', 'demo', 'bench')
 
 
 class Parser(argparse.ArgumentParser):
@@ -31,7 +32,8 @@ class Parser(argparse.ArgumentParser):
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of all subcommands; each brings its own ``run``."""
-    parser = Parser(prog='gsdf', description='Find a bone under a tracked probe.')
+    parser = Parser(prog='gsdf', description='Find a bone under a tracked probe.',
+                    **example('gsdf register hip.stl points.csv --unit mm --report hip.html'))
     parser.add_argument('--version', action='version', version=f'gsdf {__version__}')
     subparsers = parser.add_subparsers(title='subcommands', metavar='COMMAND', required=True)
     for name in SUBCOMMANDS:

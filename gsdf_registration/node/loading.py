@@ -15,6 +15,8 @@ from gsdf_registration.field import Field
 from gsdf_registration.model import load_model
 from gsdf_registration.registration import register
 from gsdf_registration.result import InputError, Reason
+from gsdf_registration.solver import solve
+from gsdf_registration.warm import WarmPose
 
 
 def load(config: Config, log: RcutilsLogger) -> Field | None:
@@ -39,10 +41,18 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
     except InputError as error:
         reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
         raise InputError(error.message, reason) from None
-    # compiles the solver, so that the first registration is as quick as any
-    register(field.surface_points[::50].astype(np.float64), field, config, T_tracker_bone=np.eye(4))
+    _compile(field, config)
     log.info(f'{path} is loaded')
     return field
+
+
+def _compile(field: Field, config: Config) -> None:
+    """Have all kernels compiled, so that the first registration is as quick as any."""
+    points = field.surface_points[::50].astype(np.float64)
+    short = config.replaced({'search.rotations': 1, 'search.places': 1, 'search.parts': 0})
+    register(points, field, short)
+    solution = solve(points, field, np.eye(4), config.solver)
+    WarmPose(points, field, solution, config).add(np.tile(points[0], (10, 1)))
 
 
 class _ToRos(logging.Handler):

@@ -12,15 +12,23 @@ from typing import Any
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from gsdf_registration.config import Config, settings
 from gsdf_registration.field import Field
+from gsdf_registration.judgement import length, moved
+from gsdf_registration.node.exchange import BoneExchange
 from gsdf_registration.node.inputs import Inputs
+from gsdf_registration.node.journal import NO_JOURNAL, keep_journal
+from gsdf_registration.node.live import Live
 from gsdf_registration.node.loading import load
+from gsdf_registration.node.outputs import Outputs
 from gsdf_registration.node.parameters import declare_parameters, watch_parameters
-from gsdf_registration.node.publishers import PosePublishers, StatusPublisher
+from gsdf_registration.node.publishers import StatusPublisher
 from gsdf_registration.node.services import Services
+from gsdf_registration.node.status import with_live
 from gsdf_registration.result import InputError
 from gsdf_registration.session import Session
 from gsdf_registration.session_status import Status
+from gsdf_registration.touches import Answer
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
@@ -40,7 +48,7 @@ def _told(transition: Transition) -> Transition:
             self.get_logger().fatal(self._problem.message)
             raise
         finally:
-            self._show_soon()
+            self.show_soon()
     return told
 
 
@@ -48,7 +56,7 @@ class RegistrationNode(LifecycleNode):
     """
     Node ``registration``.
 
-    All callbacks run on one executor thread; what takes long runs on its own, see `Services`.
+    All callbacks run on one executor thread; what takes long runs on others: `Services`, `Live`.
 
     Raises
     ------
@@ -64,15 +72,19 @@ class RegistrationNode(LifecycleNode):
             description='become active without a lifecycle manager', read_only=True)).value
         self.session = Session(self.config)
         self._problem: InputError | None = None     # why the node could not be configured
+        self._anew = ''     # why this session was begun without being asked for
         self.cancelled = threading.Event()
         self._refused = 0
         self._field: Field | None = None
+        self._journal = NO_JOURNAL
         self._inputs: Inputs | None = None
-        self._poses: PosePublishers | None = None
+        self.outputs: Outputs | None = None
+        self.live = Live(self)
         self._status = StatusPublisher(self)
         self._serving = Services(self)
+        self._exchange = BoneExchange(self)
         self.create_timer(1.0, self._tick)
-        watch_parameters(self, self._why_fixed, self._change)
+        watch_parameters(self, lambda: self.config, self._why_fixed, self._change)
 
     def start(self) -> None:
         """Become active if ``autostart``; a node that cannot stays, and its status says why."""
@@ -83,7 +95,7 @@ class RegistrationNode(LifecycleNode):
     def finish(self, timeout: float) -> bool:
         """End the lifecycle, go off the air; False if a solve goes on after ``timeout`` seconds."""
         self.cancelled.set()
-        if not self._serving.idle(timeout):
+        if not self._serving.idle(timeout) or not self._exchange.idle():
             return False
         if self.state != 'finalized':
             self.trigger_shutdown()
@@ -97,8 +109,11 @@ class RegistrationNode(LifecycleNode):
         self.show()
         self._field = load(config, self.get_logger())
         self.session = Session(config, self._field)
+        self._journal.close()
+        self._journal = keep_journal(self.session, config.session, self.get_logger())
+        self._exchange.use(config.model)
         self._problem = None
-        self._poses = PosePublishers(self, config)
+        self.outputs = Outputs(self, config)
         self._inputs = Inputs(self, config)
         return super().on_configure(state)
 
@@ -107,15 +122,17 @@ class RegistrationNode(LifecycleNode):
         """Listen and, if ``collect.automatic``, collect."""
         result = super().on_activate(state)
         self.cancelled.clear()
-        self.session.collect(self.config.collect.automatic)
-        if self._field is not None and self._poses is not None:
-            self._poses.surface(self._field)
+        self.session.collect(self.config.collect.automatic or self.session.collecting)
+        if self.outputs is not None:
+            self.outputs.bone(self._field, self.session)
+        self.live.start(self.session, self._field, self.config)
         return result
 
     @_told
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop listening; what has been collected stays."""
         self.cancelled.set()
+        self.live.stop()
         self.session.collect(False)
         return super().on_deactivate(state)
 
@@ -133,11 +150,12 @@ class RegistrationNode(LifecycleNode):
 
     def _release(self) -> None:
         self.cancelled.set()
-        if self._inputs is not None:
-            self._inputs.destroy()
-        if self._poses is not None:
-            self._poses.destroy()
-        self._inputs, self._poses, self._field = None, None, None
+        self.live.stop()
+        for each in (self._inputs, self.outputs):
+            if each is not None:
+                each.destroy()
+        self._inputs, self.outputs, self._field = None, None, None
+        self._journal.close()
         self.session = Session(self.config)
 
     @property
@@ -159,16 +177,32 @@ class RegistrationNode(LifecycleNode):
         """Return the time of the node's clock in seconds."""
         return self.get_clock().now().nanoseconds * 1e-9
 
-    def take_point(self, stamp: float, position: Sequence[float], frame_id: str,
-                   topic: str) -> None:
-        """Hand a tip position (3,), m, to the session; the node must be active."""
-        self.session.add_point(stamp, position, frame_id, topic, arrival=self.now())
+    def take_point(self, stamp: float, position: Sequence[float], frame_id: str, topic: str,
+                   arrival: float | None = None) -> None:
+        """Hand a tip position (3,), m, that came in at ``arrival``, s, to the session."""
+        if self.session.add_point(stamp, position, frame_id, topic, arrival=arrival) is None:
+            self.live.wake()
+
+    def clear(self) -> Answer:
+        """Begin a new session, as the operator asks: drop what is held and what is on its way."""
+        self._anew = ''
+        if self._inputs is not None:
+            self._inputs.forget()
+        return self.session.clear()
+
+    def start_anew(self, why: str) -> None:
+        """Begin a new session without being asked, and say why."""
+        self.session.clear()
+        self.live.wake()
+        self._anew = f'a new session was begun, for {why}'
+        self.get_logger().warning(self._anew, throttle_duration_sec=0.2)
+        self.show()
 
     def _tick(self) -> None:
         status = self._session_status()
-        self._status.tick(status)
+        self._status.tick(status, self.live.status)
         causes = {cause: count for cause, count in status.rejected.items()
-                  if count and cause != 'not_collecting'}
+                  if count and cause not in ('not_collecting', 'touched')}
         before, self._refused = self._refused, sum(causes.values())
         if self._refused > before:
             words = ', '.join(f'{count} {cause}' for cause, count in causes.items())
@@ -176,32 +210,64 @@ class RegistrationNode(LifecycleNode):
 
     def show(self) -> None:
         """Publish ``~/status`` if it has changed."""
-        self._status.show(self._session_status())
+        self._status.show(self._session_status(), self.live.status)
 
-    def _show_soon(self) -> None:
-        if self.executor is not None:   # which is in the middle of a transition
+    def show_soon(self) -> None:
+        """Have the executor `show`; for other threads, and in the middle of a transition."""
+        if self.executor is not None:
             self.executor.create_task(self.show)
 
     def _session_status(self) -> Status:
-        status, refusal = self.session.status(), self.refusal()
+        status, refusal = with_live(self.session.status(), self.live.status), self.refusal()
         reason = status.reason if self._problem is None else self._problem.reason
-        return dataclasses.replace(status, message=refusal or status.message, reason=reason)
+        told = [self._anew if status.result is None else '',
+                self._inputs.trouble if self._inputs is not None else '', status.message,
+                self._exchange.notice]
+        message = refusal or '; '.join(sentence for sentence in told if sentence)
+        return dataclasses.replace(status, message=message, reason=reason)
 
     def publish_pose(self) -> None:
         """Publish the last good pose, if there is one."""
-        if self._poses is not None:
-            self._poses.publish(self.session)
+        if self.outputs is not None:
+            self.outputs.registration(self.session)
+
+    def moved_since(self, before: Status) -> str:
+        """Return in words how far the registered bone is from where it was ``before``."""
+        now, then = self.session.status().pose_result, before.pose_result
+        assert now is not None and then is not None and self._field is not None
+        assert now.T_tracker_bone is not None and then.T_tracker_bone is not None
+        distance = moved(then.T_tracker_bone, now.T_tracker_bone, self._field)
+        return f'the bone moved by {length(distance)} (RMS)'
+
+    def take_bone(self, field: Field) -> None:
+        """Work with another bone from now on; the points stay, a pose of the old one does not."""
+        self._field = field
+        self.session.set_model(field)
+        if self.state == 'active':
+            if self.outputs is not None:
+                self.outputs.bone(field, self.session)
+            self.live.start(self.session, field, self.config)
 
     def _why_fixed(self, name: str) -> str:
-        if name.startswith('model.') and self.state != 'unconfigured':
-            return (
-                f'{name} is read when the node is configured; call the transitions deactivate and '
+        if self.state == 'unconfigured' or not dict(settings())[name].metadata['fixed']:
+            return ''
+        return (f'{name} is read when the node is configured; call the transitions deactivate and '
                 'cleanup, set it, and configure and activate again')
-        return ''
 
-    def _change(self, values: dict[str, Any]) -> None:
-        config = self.config.replaced(values)
+    def _change(self, config: Config) -> None:
+        other_bone = self._exchange.wanted(config)
         self.session.configure(config)
-        self.config = config
-        if self._poses is not None:
-            self._poses.configure(config)
+        before, self.config = self.config, config
+        if other_bone:
+            self._exchange.begin()
+        if self._inputs is not None:
+            if config.probe.topics != before.probe.topics:
+                self._inputs.destroy()
+                self._inputs = Inputs(self, config)
+            self._inputs.configure(config)
+        if self.outputs is not None:
+            self.outputs.configure(config)
+        if config.live.enabled == before.live.enabled:
+            self.live.configure(config)
+        elif self.state == 'active':
+            self.live.start(self.session, self._field, config)

@@ -18,7 +18,7 @@ from gsdf_registration.config import Config
 from gsdf_registration.decimation import Faces, drawn_surface
 from gsdf_registration.field import Field
 from gsdf_registration.guidance import Touch
-from gsdf_registration.node.qos import LATCHED
+from gsdf_registration.node.qos import LATCHED, UNWATCHED
 from gsdf_registration.rigid import Array, inverse, transform
 from msg_adapters import markers, ros
 from msg_adapters.marker_cdr import Marker, to_bytes
@@ -37,8 +37,9 @@ class ScenePublisher:
         self._node = node
         self._config = config
         self._frame_id = config.model.frame_id
-        self._points = node.create_lifecycle_publisher(PointCloud2, '~/points', LATCHED)
-        self._markers = node.create_lifecycle_publisher(MarkerArray, '~/markers', LATCHED)
+        create = node.create_lifecycle_publisher
+        self._points = create(PointCloud2, '~/points', LATCHED, event_callbacks=UNWATCHED)
+        self._markers = create(MarkerArray, '~/markers', LATCHED, event_callbacks=UNWATCHED)
         self._surface: tuple[str, Array, Faces] | None = None   # of the bone of this hash
         self._stale = False     # whether a cloud stands that is not to be seen any more
 

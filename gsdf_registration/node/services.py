@@ -43,6 +43,8 @@ class Services:
                                 callback_group=group)
 
     def _served(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
+        log = self._node.get_logger().get_child(handler.__name__)
+
         async def serve(request: Any, response: Any) -> Any:
             node = self._node
             refusal = node.refusal()
@@ -56,9 +58,10 @@ class Services:
                 answer = Answer(
                     False, f'internal error, please report it: {type(error).__name__}: {error}')
             if answer.success:
-                node.get_logger().info(f'{handler.__name__}: {answer.message}')
-            else:
-                node.get_logger().warning(f'{handler.__name__}: {answer.message}')
+                log.info(answer.message)
+            else:   # who asks again and again is told each time, the log once in a while
+                log.warning(answer.message, throttle_duration_sec=1.0)
+            node.live.wake()
             node.show()
             response.success, response.message = answer.success, answer.message
             return response
@@ -69,12 +72,25 @@ class Services:
         return self._node.session.collect(request.data)
 
     async def undo(self, _: Trigger.Request) -> Answer:
-        """Drop the last stroke."""
-        return self._node.session.undo()
+        """Drop the last stroke, and register anew if the last good pose was found with it."""
+        session = self._node.session
+        before, dropped = session.status(), session.undo()
+        self._node.live.wake()
+        # a pose that was outdated before, as after ~/clear, is not what was undone
+        if not dropped.success or before.outdated or not session.outdated:
+            return dropped
+        if self._worker.busy:
+            return Answer(True, f'{dropped.message}; register again when the last request is done')
+        found = await self.register(Trigger.Request())
+        if not found.success:
+            return Answer(True, f'{dropped.message}; it was found with the dropped stroke, and '
+                          f'without that there is none: {found.message}')
+        return Answer(True, f'{dropped.message}; registered anew without it: '
+                      f'{self._node.moved_since(before)}; {found.message}')
 
     async def clear(self, _: Trigger.Request) -> Answer:
         """Drop all points, landmarks and verification points."""
-        return self._node.session.clear()
+        return self._node.clear()
 
     async def capture_landmark(self, _: Trigger.Request) -> Answer:
         """Take the resting tip as the next landmark."""
@@ -88,6 +104,7 @@ class Services:
         """Solve, and publish the pose."""
         session, cancelled = self._node.session, self._node.cancelled
         result = await self._off_executor(lambda: session.register(cancelled=cancelled.is_set))
+        self._node.live.registered(result.success)
         if not result.success:
             return Answer(False, f'{result.reason}: {result.message}{pose_kept(session.status())}')
         if session is not self._node.session or self._node.refusal():

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from gsdf_registration.live import LiveStatus
 from gsdf_registration.result import RegistrationResult
 from gsdf_registration.session_status import Status
+from gsdf_registration.strokes import interference
 from msg_adapters.ros import diagnostic_status
 
 LEVELS = {'no_model': DiagnosticStatus.ERROR, 'refused': DiagnosticStatus.WARN}     # the others: OK
@@ -19,7 +22,19 @@ def pose_kept(status: Status) -> str:
     return '' if status.pose_result is None else '; the last good pose is kept'
 
 
-def status_message(status: Status, name: str) -> DiagnosticStatus:
+def with_live(status: Status, live: LiveStatus) -> Status:
+    """Return the session at a glance with what the live registration adds: what lacks, or ready."""
+    registered = status.pose_result is not None and not status.outdated
+    if live.ready and not registered and status.state in ('collecting', 'idle', 'refused'):
+        message = '; '.join(filter(None, (live.message, status.remark)))
+        return replace(status, state='ready', message=message)
+    if status.state not in ('collecting', 'idle'):
+        return status
+    told = (status.message, interference(live.strokes), live.message)
+    return replace(status, message='; '.join(sentence for sentence in told if sentence))
+
+
+def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticStatus:
     """Return ``status`` as a message from the node ``name``.  Values are SI and plain text."""
     values: dict[str, Any] = {
         'state': status.state, 'received': status.received, 'kept': status.kept,
@@ -28,8 +43,15 @@ def status_message(status: Status, name: str) -> DiagnosticStatus:
             f'rejected.{cause}': count
             for cause, count in status.rejected.items()
         }, 'pose': 'none' if status.pose_result is None else f'in {status.pose_frame_id}',
-        **(_confidence(status.pose_result) if status.pose_result is not None else {})
+        **(_confidence(status.pose_result) if status.pose_result is not None else {}),
+        **_live(live),
+        **{f'stroke.{each.number}': each.sentence
+           for each in live.strokes or status.stroke_reports},
+        **{f'landmark_miss_m.{name}': f'{miss:.6f}'
+           for name, miss in status.landmark_misses.items()}
     }
+    if status.verification is not None:
+        values['verification'] = status.verification.sentence
     message = status.message + (pose_kept(status) if status.state == 'refused' else '')
     return diagnostic_status(name, LEVELS.get(status.state, DiagnosticStatus.OK), message, values)
 
@@ -46,4 +68,13 @@ def _confidence(result: RegistrationResult) -> dict[str, str]:
             known[name] = f'{getattr(result, name):.6f}'
     if result.weakest_direction is not None:
         known['weakest_direction'] = result.weakest_direction.sentence
+    return known
+
+
+def _live(live: LiveStatus) -> dict[str, str]:
+    """Return how the live registration stands."""
+    known = {'touch_next': live.touch_next, 'live.points': str(live.used),
+             'live.reason': '' if live.reason is None else str(live.reason)}
+    known |= {f'live.predicted_tre_m.{target}': f'{tre:.6f}'
+              for target, tre in live.predicted_tre_m.items()}
     return known
