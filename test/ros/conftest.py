@@ -86,10 +86,10 @@ def many_points(tracker: Tracker, shared_session: Path) -> Path:
     assert tracker.client.ask('save').success
     session = json.loads(shared_session.read_text())
     points = session['points']
-    times = 30_000 // len(points['stamps'])
-    session['points'] = {key: times * column for key, column in points.items()}
-    noise = np.random.default_rng(0).normal(0.0, 2e-4, (times * len(points['stamps']), 3))
-    session['points']['positions'] = (np.array(session['points']['positions']) + noise).tolist()
+    rows = 30_000 // len(points) * points
+    noise = np.random.default_rng(0).normal(0.0, 2e-4, (len(rows), 3))
+    session['points'] = [[*row[:3], *(row[3:6] + shift), None, None]
+                         for row, shift in zip(rows, noise)]
     shared_session.write_text(json.dumps(session))
     return shared_session
 

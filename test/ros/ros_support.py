@@ -39,6 +39,8 @@ class NodeProcess:
 
     def __init__(self, log: Path, name: str = 'registration', options: Sequence[str] = (),
                  **parameters: Any) -> None:
+        # or it would keep its journal in the repository
+        parameters = {'session.path': log.with_suffix('.json'), **parameters}
         words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
         self.name = f'/{name}'
         self.log_file = log

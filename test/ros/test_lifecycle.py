@@ -86,10 +86,3 @@ def test_without_a_model_points_are_collected_but_not_registered(start_node: Sta
         answer = client.ask('register')
         assert not answer.success
         assert answer.message.startswith('no_model: ')
-
-
-def test_a_reference_array_is_not_passed_over(start_node: StartNode, parameters: dict[str,
-                                                                                      Any]) -> None:
-    node = start_node('referenced', **parameters | {'reference.topic': '/array'})
-    with Client(node) as client:
-        assert 'reference.topic is not supported' in client.status(state='no_model')['message']

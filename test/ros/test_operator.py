@@ -95,10 +95,14 @@ def test_strokes_are_collected_and_undone(tracker: Tracker) -> None:
 
 
 def test_a_landmark_is_not_captured_from_a_moving_tip(tracker: Tracker) -> None:
-    tracker.send(np.outer(np.linspace(0.0, 0.1, 60), [1.0, 0.0, 0.0]))
-    answer = tracker.client.ask('capture_landmark')
-    assert not answer.success
-    assert 'moves' in answer.message
+    path = iter(np.outer(np.linspace(0.0, 10.0, 6000), [1.0, 0.0, 0.0]).reshape(-1, 60, 3))
+
+    def moves() -> bool:
+        tracker.send(next(path))
+        answer = tracker.client.ask('capture_landmark')
+        assert not answer.success
+        return 'moves' in answer.message
+    tracker.client.spin_until(moves, 'it was not told that the tip moves')
 
 
 def test_a_touched_point_is_verified(tracker: Tracker) -> None:
@@ -106,9 +110,38 @@ def test_a_touched_point_is_verified(tracker: Tracker) -> None:
     off = tracker.truth.T_tracker_bone[:3, :3] @ [0.0, 0.0, 0.5] + tracker.truth.T_tracker_bone[:3,
                                                                                                 3]
     tracker.send(np.tile(off, (60, 1)))
+    # until its last moments have come in
+    tracker.client.spin_until(lambda: 'moves' not in tracker.client.ask('verify').message,
+                              'the tip does not rest')
     answer = tracker.client.ask('verify')
     assert not answer.success
     assert 'outside' in answer.message
+
+
+def test_a_checkpoint_touched_again_tells_that_the_array_was_bumped(tracker: Tracker) -> None:
+    register_at(tracker, STILL)
+    client = tracker.client
+    client.collect(True)        # a verification is kept out of what is being collected
+    before = client.status()
+    rng = np.random.default_rng(0)
+    side = 0.001 * tracker.truth.T_tracker_bone[:3, 0]
+    lifted, sent, verdicts = 0, 0, []
+    for shift, expected in ((0.0, 'touch it again later'), (0.4, 'checkpoint 1 moved 0.4 mm'),
+                            (3.4, 'checkpoint 1 moved 3.4 mm')):
+        tracker.send(tracker.positions[50] + 0.002 * np.arange(10, 20)[:, None], 0.1)    # lifted
+        lifted += 10
+        answer = client.ask('verify')
+        while expected not in answer.message:       # until the samples have come through
+            noise = rng.normal(0.0, 5e-5, (60, 3))
+            tracker.send(tracker.positions[50] + shift * side + noise,
+                         np.r_[0.1, np.full(59, 0.0125)])
+            sent += 60
+            answer = client.ask('verify')
+        verdicts.append(answer.success)
+    assert verdicts == [True, True, False]
+    assert answer.message.endswith('was the array bumped?')
+    client.status(kept=str(int(before['kept']) + lifted),
+                  rejected__touched=str(int(before['rejected.touched']) + sent))
 
 
 def test_a_session_is_saved_and_loaded_by_another_node(tracker: Tracker, shared_node: NodeProcess,

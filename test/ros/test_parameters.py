@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
-from ros_support import ROOT, Client, NodeProcess
+from ros_support import BAG, ROOT, Client, NodeProcess, Tracker
 
 from gsdf_registration.config import Config, settings
 
@@ -18,12 +20,21 @@ StartNode = Callable[..., NodeProcess]
 DOUBLE, STRING, STRINGS, DOUBLES, INTEGER = (Parameter.Type.DOUBLE, Parameter.Type.STRING,
                                              Parameter.Type.STRING_ARRAY,
                                              Parameter.Type.DOUBLE_ARRAY, Parameter.Type.INTEGER)
+NAMES = Parameter('landmarks.names', STRINGS, ['one'])
+POSITIONS = Parameter('landmarks.positions', DOUBLES, [0.0, 0.1, 0.2])
 
 
 def value_of(client: Client, name: str) -> Any:
     request = GetParameters.Request(names=[name])
     response = client.result(client.start(GetParameters, 'get_parameters', request))
     return parameter_value_to_python(response.values[0])
+
+
+def set_one_by_one(client: Client, parameters: list[Parameter]) -> list[str]:
+    """Set them as ``ros2 param load`` does; return why not, empty where one is set."""
+    request = SetParameters.Request(parameters=[each.to_parameter_msg() for each in parameters])
+    results = client.result(client.start(SetParameters, 'set_parameters', request)).results
+    return ['' if result.successful else result.reason for result in results]
 
 
 def test_every_setting_is_declared_and_described(client: Client) -> None:
@@ -37,7 +48,8 @@ def test_every_setting_is_declared_and_described(client: Client) -> None:
     for (name, setting), descriptor in zip(settings(), described):
         about = setting.metadata
         assert descriptor.description.startswith(about['description'])
-        assert descriptor.read_only == about['fixed']
+        assert ('configured' in descriptor.additional_constraints) == about['fixed'], name
+        assert all(choice in descriptor.additional_constraints for choice in about['choices'])
         ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
         assert [(r.from_value, r.to_value) for r in ranges] == (
             [] if about['low'] is None else [(about['low'], about['high'])]), name
@@ -46,31 +58,59 @@ def test_every_setting_is_declared_and_described(client: Client) -> None:
 
 
 @pytest.mark.parametrize('parameter, reason', [
-    (Parameter('gate.max_speed', DOUBLE, -1.0), 'gate.max_speed'),
-    (Parameter('gate.max_speed', INTEGER, 2), 'DOUBLE'),
-    (Parameter('solver.method', STRING, 'magic'), 'must be one of'),
-    (Parameter('landmarks.names', STRINGS, ['one']), 'give x y z for each'),
-    (Parameter('probe.topics', STRINGS, ['/other']), 'read-only'),
-    (Parameter('model.path', STRING, 'other.stl'), 'deactivate and cleanup'),
-], ids=lambda value: value.name if isinstance(value, Parameter) else '')
-def test_what_cannot_be_used_is_refused_with_a_reason(client: Client, parameter: Parameter,
+    (Parameter('gate.max_speed', DOUBLE, -1.0), 'gate.max_speed must lie in [0, 100] m/s, not -1'),
+    (Parameter('gate.max_speed', STRING, 'fast'), "gate.max_speed must be a finite number, not 'f"),
+    (Parameter('gate.max_speed', DOUBLE, float('nan')), 'gate.max_speed must be a finite number'),
+    (Parameter('gate.max_speed'), 'gate.max_speed must be a finite number, not None'),
+    (Parameter('limits.min_points', DOUBLE, 30.5), 'limits.min_points must be a whole number'),
+    (Parameter('solver.method', STRING, 'magic'), 'solver.method must be one of mixture, paper'),
+    (NAMES, 'in one request'),
+    (POSITIONS, 'in one request'),
+    (Parameter('probe.topics', STRINGS, ['no topic!']), '"no topic!" is no name of a topic'),
+    (Parameter('probe.topics', STRINGS, ['/a', '/a']), '/a is named twice'),
+    (Parameter('model.frame_id', STRING, 'other'), 'deactivate and cleanup'),
+    (Parameter('reference.topic', STRING, '/array'), 'deactivate and cleanup'),
+    (Parameter('model.path', STRING, 'no/such.stl'), 'there is no such file'),
+    (Parameter('model.path', STRING, ''), 'deactivate and cleanup'),
+], ids=lambda value: f'{value.name}={value.value}' if isinstance(value, Parameter) else '')
+def test_what_cannot_be_used_is_refused_in_a_sentence(client: Client, parameter: Parameter,
                                                       reason: str) -> None:
     before = value_of(client, parameter.name)
     assert reason in client.set_parameters(parameter)
     assert value_of(client, parameter.name) == before
 
 
+def test_a_misspelt_name_is_refused_and_the_right_one_named(client: Client) -> None:
+    misspelt = Parameter('gate.max_sped', DOUBLE, 0.5)
+    assert 'did you mean gate.max_speed?' in client.set_parameters(misspelt)
+    assert 'did you mean gate.max_speed?' in set_one_by_one(client, [misspelt])[0]
+
+
 def test_all_of_a_request_or_none(client: Client) -> None:
     good = Parameter('gate.max_gap', DOUBLE, 0.75)
     assert client.set_parameters(good, Parameter('solver.method', STRING, 'magic')) != ''
     assert value_of(client, 'gate.max_gap') == Config().gate.max_gap
-    landmarks = [Parameter('landmarks.names', STRINGS, ['one']),
-                 Parameter('landmarks.positions', DOUBLES, [0.0, 0.1, 0.2])]
     kept = [Parameter(name, kind, list(value_of(client, name)))
             for name, kind in (('landmarks.names', STRINGS), ('landmarks.positions', DOUBLES))]
-    assert client.set_parameters(*landmarks) == ''
+    assert client.set_parameters(NAMES, POSITIONS) == ''
     assert '"one"' in client.ask('capture_landmark').message
     assert client.set_parameters(*kept) == ''
+
+
+def test_a_captured_landmark_is_not_made_another(tracker: Tracker) -> None:
+    client = tracker.client
+    names, numbers = value_of(client, 'landmarks.names'), value_of(client, 'landmarks.positions')
+    tracker.touch_landmarks(np.eye(4))
+    renamed = [Parameter('landmarks.names', STRINGS, ['other', *names[1:]]),
+               Parameter('landmarks.positions', DOUBLES, list(numbers))]
+    assert f'landmark "{names[0]}" is captured; clear' in client.set_parameters(*renamed)
+    more = [Parameter('landmarks.names', STRINGS, ['fourth', *names]),
+            Parameter('landmarks.positions', DOUBLES, [0.0, 0.0, 0.0, *numbers])]
+    assert client.set_parameters(*more) == ''
+    assert '"fourth"' in client.ask('capture_landmark').message
+    client.ask('clear')
+    assert client.set_parameters(Parameter('landmarks.names', STRINGS, list(names)),
+                                 Parameter('landmarks.positions', DOUBLES, list(numbers))) == ''
 
 
 def test_a_change_takes_effect_at_once(client: Client) -> None:
@@ -80,12 +120,105 @@ def test_a_change_takes_effect_at_once(client: Client) -> None:
                                            Config().limits.min_points)) == ''
 
 
+def test_whole_numbers_and_empty_lists_serve_where_they_make_sense(client: Client) -> None:
+    assert client.set_parameters(Parameter('gate.max_speed', INTEGER, 2)) == ''
+    assert value_of(client, 'gate.max_speed') == 2.0
+    assert client.set_parameters(Parameter('gate.max_speed', DOUBLE, 1.0)) == ''
+    # as ros2 param guesses the type of []
+    assert client.set_parameters(Parameter('targets.names', Parameter.Type.BOOL_ARRAY, [])) == ''
+    assert value_of(client, 'targets.names') == []
+
+
+def test_all_settings_may_be_loaded_again_as_they_are(client: Client) -> None:
+    names = [name for name, _ in settings()]
+    request = GetParameters.Request(names=names)
+    present = client.result(client.start(GetParameters, 'get_parameters', request)).values
+    again = [Parameter.from_parameter_msg(Parameter(name).to_parameter_msg()) for name in names]
+    again = [Parameter(each.name, Parameter.Type(value.type), parameter_value_to_python(value))
+             for each, value in zip(again, present)]
+    assert set(set_one_by_one(client, again)) == {''}
+
+
+def test_another_probe_may_be_taken_up_and_the_points_stay(start_node: StartNode) -> None:
+    node = start_node('probed')
+    with Client(node) as client:
+        client.await_state('active')
+        first, second = (Tracker(client, topics=[topic]) for topic in ('/probe/tip', '/other/tip'))
+        first.await_listener()
+        first.send(first.positions[:20])
+        client.status(kept='20')
+        assert client.set_parameters(Parameter('probe.topics', STRINGS, ['/other/tip'])) == ''
+
+        def heard() -> bool:
+            second.send(second.positions[20:21], topic='/other/tip')
+            return int(client.status()['kept']) > 20
+        client.spin_until(heard, 'the other probe is not heard')
+        assert client.status()['frame_id'] == 'tracker'
+
+
+def test_what_is_read_at_configuring_may_be_set_before(start_node: StartNode) -> None:
+    node = start_node('before', autostart='false')
+    with Client(node) as client:
+        assert client.set_parameters(Parameter('model.frame_id', STRING, 'femur')) == ''
+        assert value_of(client, 'model.frame_id') == 'femur'
+
+
+def test_the_bone_is_exchanged_while_points_come_in(start_node: StartNode,
+                                                    parameters: dict[str, Any]) -> None:
+    hip, femur = (BAG.parent / f'{name}.ply' for name in ('hip', 'femur'))
+    node = start_node('exchanged', **parameters | {
+        'model.path': femur, 'probe.topics': ['/probe/tip'], 'collect.automatic': 'true',
+        'limits.max_bone_tre': '0.01'})
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client, topics=['/probe/tip'])
+        tracker.await_listener()
+        tracker.send(tracker.positions, tracker.steps)
+        kept = client.status(received=str(len(tracker.positions)))['kept']
+        assert not client.ask('register').success       # it is not this bone
+        assert client.set_parameters(Parameter('model.path', STRING, str(hip))) == ''
+        # the services are there at once, not only when the bone is
+        assert str(hip) in client.status()['message'] or 'is loaded' in node.log
+        client.spin_until(lambda: f'{hip} is loaded' in node.log, 'the bone is not loaded')
+        client.spin_until(lambda: 'being loaded' not in client.status()['message'], 'not taken')
+        assert client.status()['kept'] == kept
+        answer = client.ask('register')
+        assert answer.success, answer.message
+
+        def publisher() -> list[list[int]]:
+            infos = client.node.get_publishers_info_by_topic('/exchanged/bone_pose')
+            return [list(info.endpoint_gid) for info in infos]
+        before = publisher()
+        assert client.set_parameters(Parameter('model.path', STRING, str(femur))) == ''
+        assert client.status(pose='none')['kept'] == kept
+        # the pose of the hip is off the air: what stood for late joiners is gone with its publisher
+        client.spin_until(lambda: publisher() != before, 'the pose of the old bone is still there')
+
+
+def test_a_bone_that_cannot_be_loaded_leaves_the_old_one(start_node: StartNode, tmp_path: Path,
+                                                         parameters: dict[str, Any]) -> None:
+    torn = tmp_path / 'torn.ply'
+    torn.write_bytes(Path(parameters['model.path']).read_bytes()[:5000])
+    node = start_node('kept', **parameters)
+    with Client(node) as client:
+        client.await_state('active')
+        assert client.set_parameters(Parameter('model.path', STRING, str(torn))) == ''
+        client.spin_until(lambda: 'the bone in use is kept' in node.log, 'nothing was said')
+        assert str(torn) in client.status(state='idle')['message']
+        assert value_of(client, 'model.path') == str(parameters['model.path'])
+        assert client.set_parameters(Parameter('model.unit', STRING, 'm')) == ''
+        client.spin_until(lambda: 'set model.path and model.unit in one request' in node.log,
+                          'it does not tell how')
+        assert value_of(client, 'model.unit') == 'mm'
+        assert 'too few' in client.ask('register').message       # with the old bone, that is
+
+
 @pytest.mark.parametrize('given, complaint', [
-    ({'solver.metod': 'paper'}, 'unknown parameter "solver.metod"'),
-    ({'gate.max_speed': '20'}, '20.0, not 20'),
-    ({'gate.max_speed': '-1.0'}, 'gate.max_speed'),
+    ({'solver.metod': 'paper'}, 'did you mean solver.method?'),
+    ({'gate.max_speed': 'fast'}, 'gate.max_speed must be a finite number'),
     ({'landmarks.names': "['one']"}, 'give x y z for each'),
-], ids=['misspelt', 'integer', 'out of range', 'no positions'])
+    ({'probe.topics': "['no topic!']"}, 'is no name of a topic'),
+], ids=['misspelt', 'wrong type', 'no positions', 'no topic'])
 def test_a_node_does_not_start_on_parameters_it_cannot_use(
         start_node: StartNode, given: dict[str, Any], complaint: str) -> None:
     node = start_node('wrong', **given)
@@ -94,11 +227,22 @@ def test_a_node_does_not_start_on_parameters_it_cannot_use(
     assert len(node.log.splitlines()) == 1
 
 
+@pytest.mark.parametrize('options', [['--params-file', 'no/such.yaml'], ['--no-such-option']],
+                         ids=['no file', 'no option'])
+def test_a_node_does_not_start_on_what_ros_cannot_read(start_node: StartNode,
+                                                       options: list[str]) -> None:
+    node = start_node('unread', options=options)
+    assert node.process.wait() == 2
+    assert options[-1] in node.log.splitlines()[-1]
+    assert 'Traceback' not in node.log
+
+
 def test_the_shipped_settings_are_a_parameter_file(start_node: StartNode) -> None:
     files = [word for name in ('registration', 'ots')
              for word in ('--params-file', f'{ROOT}/config/{name}.yaml')]
-    node = start_node('filed', options=files)
+    node = start_node('filed', options=files, **{'gate.max_speed': '2'})
     with Client(node) as client:
         client.await_state('active')
         assert value_of(client, 'landmarks.names') == []
         assert value_of(client, 'gate.max_gap') == 0.25
+        assert value_of(client, 'gate.max_speed') == 2.0

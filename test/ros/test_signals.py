@@ -3,19 +3,26 @@
 
 from __future__ import annotations
 
+import json
+import re
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from lifecycle_msgs.msg import Transition
-from ros_support import Client, NodeProcess
+from rclpy.parameter import Parameter
+from ros_support import BAG, Client, NodeProcess, Tracker
 from std_srvs.srv import Trigger
+
+from gsdf_registration.node.operator import Operator
 
 pytestmark = pytest.mark.ros
 StartNode = Callable[..., NodeProcess]
 SOON = 2.0      # s, the contract
+BOTH = [signal.SIGINT, signal.SIGTERM]
 
 
 def assert_ends(node: NodeProcess, *signals: signal.Signals) -> None:
@@ -67,3 +74,91 @@ def test_signals_end_a_node_that_is_loading_its_bone(
         assert_ends(node, signal.SIGTERM, signal.SIGTERM)
     assert 'is loaded' not in node.log
     assert '[ERROR]' not in node.log
+
+
+def test_a_node_that_has_ended_is_gone_for_the_others(start_node: StartNode) -> None:
+    node = start_node('gone')
+    with Client(node) as client, Operator(node.name) as other:
+        client.await_state('active')
+
+        def there() -> bool:
+            return (node.name[1:], '/') in other.node.get_node_names_and_namespaces()
+        other.spin_until(there, 'it is not seen')
+        assert_ends(node, signal.SIGTERM)
+        # one that just dies stays in the graph for the 20 s of its lease
+        other.spin_until(lambda: not there(), 'it is still seen')
+
+
+def await_blocked(node: NodeProcess) -> None:
+    """Wait until the process takes no signal by its default any more; rclpy comes after that."""
+    status = Path(f'/proc/{node.process.pid}/status')
+    wanted = sum(1 << number - 1 for number in BOTH)
+    while node.process.poll() is None:
+        blocked = re.search(r'SigBlk:\s*(\w+)', status.read_text())
+        assert blocked is not None
+        if int(blocked[1], 16) & wanted == wanted:
+            return
+        time.sleep(0.001)
+    pytest.fail(f'the node ended by itself: {node.log}')
+
+
+def test_signals_end_a_node_that_has_hardly_begun(start_node: StartNode,
+                                                  parameters: dict[str, Any]) -> None:
+    node = start_node('begun', **parameters)
+    await_blocked(node)
+    assert_ends(node, *BOTH)
+    assert node.log == ''
+
+
+def test_signals_end_a_node_that_looks_for_the_bone_while_points_come_in(
+        start_node: StartNode, parameters: dict[str, Any]) -> None:
+    node = start_node('looking', **parameters | {'collect.automatic': 'true',
+                                                 'probe.topics': ['/probe/tip']})
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client, topics=['/probe/tip'])
+        tracker.await_listener()
+        # many enough for a search, and more on the way
+        tracker.send(tracker.positions[:300], tracker.steps[:300])
+        client.spin_until(lambda: client.status().get('live.points', '0') != '0' or
+                          'looking' in client.status()['message'], 'it does not look')
+        tracker.send(tracker.positions[300:400], tracker.steps[300:400])
+        assert_ends(node, *BOTH)
+
+
+def test_signals_end_a_node_that_saves_and_the_file_is_whole(
+        start_node: StartNode, parameters: dict[str, Any], many_points: Path) -> None:
+    before = many_points.read_text()
+    node = start_node('saving', **parameters | {'session.path': many_points})
+    with Client(node) as client:
+        client.await_state('active')
+        assert client.ask('load').success
+        client.start(Trigger, 'save', Trigger.Request())
+        assert 'wait' in client.ask('save').message     # so it is saving
+        assert_ends(node, *BOTH)
+    assert len(json.loads(many_points.read_text())['points']) == len(json.loads(before)['points'])
+    left = {file.name for file in many_points.parent.iterdir()} - {'log', 'log.journal'}
+    assert left <= {many_points.name, *(f'{many_points.name}.journal{end}'
+                                        for end in ('', '.1', '.2'))}
+
+
+def test_signals_end_a_node_whose_bone_is_exchanged(
+        start_node: StartNode, parameters: dict[str, Any]) -> None:
+    node = start_node('exchanging', **parameters)
+    with Client(node) as client:
+        client.await_state('active')
+        other = [Parameter('model.path', value=str(BAG.parent / 'femur.ply')),
+                 Parameter('model.voxel_size', value=0.00023)]      # nobody has built that before
+        assert client.set_parameters(*other) == ''
+        client.spin_until(lambda: f'loading {other[0].value}' in node.log, 'it does not load')
+        assert_ends(node, *BOTH)
+    assert f'{other[0].value} is loaded' not in node.log
+
+
+def test_signals_end_a_node_that_is_deactivated(start_node: StartNode,
+                                                parameters: dict[str, Any]) -> None:
+    node = start_node('deactivated', **parameters)
+    with Client(node) as client:
+        client.await_state('active')
+        client.begin(Transition.TRANSITION_DEACTIVATE)
+        assert_ends(node, *BOTH)

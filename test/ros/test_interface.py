@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of the node's interface, and the table in the README, say what the node has."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from ros_support import ROOT, Client, NodeProcess, Tracker
+
+from gsdf_registration.result import Reason
+
+sys.path.append(str(ROOT / 'docs'))
+import interface  # noqa: E402
+
+pytestmark = pytest.mark.ros
+StartNode = Callable[..., NodeProcess]
+
+
+def test_the_documents_are_as_written_from_a_running_node(start_node: StartNode) -> None:
+    pytest.importorskip('tf2_msgs', reason='without it there is no /tf')
+    node = start_node('described', **interface.PARAMETERS)
+    with Client(node) as client:
+        client.await_state('active')
+        table = interface.rows(client, node.name)
+        heard, said = interface.heard_and_said(client, node.name)
+    assert heard == interface.HEARD.keys()
+    assert said == interface.SAID.keys()
+    advice = 'run python docs/interface.py to write it anew'
+    assert interface.PAGE.read_text() == interface.page(table), advice
+    readme = interface.README.read_text()
+    assert interface.BEGIN in readme
+    assert readme == interface.with_table(readme, table), advice
+
+
+def test_every_value_of_the_status_is_described(tracker: Tracker) -> None:
+    tracker.touch_landmarks(np.eye(4))
+    tracker.drag(np.eye(4))
+    seen = set(tracker.client.status(state='ready'))
+    assert tracker.client.ask('register').success
+    tracker.send(np.tile(tracker.positions[100] + 0.02, (60, 1)))
+    tracker.client.spin_until(lambda: 'tip is' in tracker.client.ask('verify').message,
+                              'it cannot be verified')
+    seen |= set(tracker.client.status())
+    seen.remove('message')      # not one of its values
+    assert [value for value in seen if not interface.described(value)] == []
+    assert set(map(interface.described, seen)) == interface.STATUS.keys()
+
+
+def test_every_reason_is_described() -> None:
+    assert interface.REASONS.keys() == set(Reason)
