@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from gsdf_registration.node.node import RegistrationNode
 
 # s from one search to the next at least; each takes some 0.6 s of one core. An undo need not wait.
-SEARCH_EVERY = 3.0
+SEARCH_EVERY = 2.0
 STOPPED = 0.5       # s that a thread may take to stop
 
 Order = Callable[[LiveRegistration], None]
