@@ -10,14 +10,14 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING
 
-from gsdf_registration.collection import Rejection
 from gsdf_registration.config import Config
-from gsdf_registration.feed import Feed, Sample
 from gsdf_registration.field import Field
-from gsdf_registration.frames import Frames
 from gsdf_registration.result import InputError, RegistrationResult
 from gsdf_registration.rigid import Array
 from gsdf_registration.session import LandmarkPairs, Session
+from gsdf_registration.session.collection import Rejection
+from gsdf_registration.tracking.feed import Feed, Sample
+from gsdf_registration.tracking.frames import Frames
 
 if TYPE_CHECKING:
     from msg_adapters.recording import Recording

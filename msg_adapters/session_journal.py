@@ -3,7 +3,7 @@
 What happens to a session, written line by line as it happens: a killed node goes on where it was.
 
 The first line is ``{"schema": "gsdf-journal/1", ...}``; each further one is an event and its value,
-see `gsdf_registration.session_events`: ``["point", [1, 0, 1700000000.0125, 0.1, 0.2, -1.3]]``.
+see `gsdf_registration.session.events`: ``["point", [1, 0, 1700000000.0125, 0.1, 0.2, -1.3]]``.
 Every event is handed to the system at once, so that the death of the process loses none; a last
 line that is torn is left out.  Against a loss of power there is ``~/save``.
 
@@ -24,7 +24,7 @@ from typing import Any
 
 from gsdf_registration import __version__
 from gsdf_registration.result import InputError
-from gsdf_registration.session_events import Replay
+from gsdf_registration.session.events import Replay
 from msg_adapters.files import write_atomically
 from msg_adapters.session_file import now
 

@@ -83,9 +83,9 @@ def registered(recording: Recording, field: Field, config: Config, landmarks: La
     """
     import numpy as np
 
-    from gsdf_registration.collection import Rejection
     from gsdf_registration.registration import register
     from gsdf_registration.replay import replay
+    from gsdf_registration.session.collection import Rejection
 
     if recording.stamps is None:
         finite = np.isfinite(recording.positions).all(axis=1)

@@ -9,7 +9,7 @@ from gsdf_registration import __version__
 from gsdf_registration.config import Config
 from gsdf_registration.result import RegistrationResult, WeakestDirection
 from gsdf_registration.rigid import quaternion_from_rotation
-from gsdf_registration.session_record import plain
+from gsdf_registration.session.record import plain
 
 SCHEMA = 'gsdf-registration/1'
 

@@ -11,11 +11,11 @@ from gsdf_registration.cli import common
 from gsdf_registration.result import InputError, Refusal
 
 if TYPE_CHECKING:
-    from gsdf_registration.collection import Points
     from gsdf_registration.config import Config
     from gsdf_registration.field import Field
+    from gsdf_registration.live.survey import Survey
     from gsdf_registration.rigid import Array
-    from gsdf_registration.survey import Survey
+    from gsdf_registration.session.collection import Points
 
 
 def add_parser(subparsers: Any) -> None:
@@ -41,9 +41,9 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look at what was touched, draw it, say what it is worth; 1 if `register` would refuse it."""
+    from gsdf_registration.live.survey import survey
     from gsdf_registration.report.picture import require_matplotlib, write_picture
     from gsdf_registration.report.view import Scene
-    from gsdf_registration.survey import survey
     require_matplotlib()
     config = common.effective_config(args)
     with common.busy('loading the bone'):
@@ -72,10 +72,10 @@ def _touched(args: argparse.Namespace, field: Field,
     """Return the points, and T_bone_tracker to look round, if anything tells of it."""
     import numpy as np
 
-    from gsdf_registration.collection import Points
     from gsdf_registration.registration import first_guess
     from gsdf_registration.replay import collected
     from gsdf_registration.session import Session
+    from gsdf_registration.session.collection import Points
     from msg_adapters.points import read_points
     from msg_adapters.session_file import read_session
 

@@ -11,15 +11,15 @@ from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
 
-from gsdf_registration.clock import BACK
-from gsdf_registration.collection import Rejection
 from gsdf_registration.config import Config
-from gsdf_registration.feed import Feed, Sample
-from gsdf_registration.frames import Frames
 from gsdf_registration.node import transforms
 from gsdf_registration.node.qos import POINTS
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
+from gsdf_registration.session.collection import Rejection
+from gsdf_registration.tracking.clock import BACK
+from gsdf_registration.tracking.feed import Feed, Sample
+from gsdf_registration.tracking.frames import Frames
 from msg_adapters import ros
 from msg_adapters.motion import NO_MOTION
 

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
 from gsdf_registration.live import Job, LivePose, LiveRegistration, LiveStatus
+from gsdf_registration.live.survey import Survey
 from gsdf_registration.node.outputs import Outputs
 from gsdf_registration.registration import first_guess
 from gsdf_registration.result import Cancelled, Refusal
 from gsdf_registration.rigid import Array
 from gsdf_registration.session import Session
-from gsdf_registration.survey import Survey
 
 if TYPE_CHECKING:
     from gsdf_registration.node.node import RegistrationNode

@@ -12,11 +12,11 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
+from gsdf_registration.live.warm import WarmPose
 from gsdf_registration.model import load_model
 from gsdf_registration.registration import register
 from gsdf_registration.result import InputError, Reason
 from gsdf_registration.solver import solve
-from gsdf_registration.warm import WarmPose
 
 
 def load(config: Config, log: RcutilsLogger) -> Field | None:

@@ -27,8 +27,8 @@ from gsdf_registration.node.services import Services
 from gsdf_registration.node.status import with_live
 from gsdf_registration.result import InputError
 from gsdf_registration.session import Session
-from gsdf_registration.session_status import Status
-from gsdf_registration.touches import Answer
+from gsdf_registration.session.status import Status
+from gsdf_registration.session.touches import Answer
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 

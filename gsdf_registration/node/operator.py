@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from gsdf_registration.node.qos import LATCHED
 from gsdf_registration.result import InputError
-from gsdf_registration.touches import Answer
+from gsdf_registration.session.touches import Answer
 
 NUMBERS = itertools.count(1)      # two nodes of one name in a process would share their log
 

@@ -11,10 +11,10 @@ from rclpy.lifecycle import LifecycleNode
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
 from gsdf_registration.live import LivePose
+from gsdf_registration.live.survey import Survey
 from gsdf_registration.node.publishers import PosePublishers
 from gsdf_registration.node.scene import ScenePublisher
 from gsdf_registration.session import Session
-from gsdf_registration.survey import Survey
 
 
 class Outputs:

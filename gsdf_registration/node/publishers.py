@@ -18,7 +18,7 @@ from gsdf_registration.live import LivePose, LiveStatus
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
 from gsdf_registration.node.status import status_message
 from gsdf_registration.result import RegistrationResult
-from gsdf_registration.session_status import Status
+from gsdf_registration.session.status import Status
 from msg_adapters import ros
 
 

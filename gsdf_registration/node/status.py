@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.result import RegistrationResult
-from gsdf_registration.session_status import Status
-from gsdf_registration.strokes import interference
+from gsdf_registration.session.status import Status
+from gsdf_registration.session.strokes import interference
 from msg_adapters.ros import diagnostic_status
 
 LEVELS = {'no_model': DiagnosticStatus.ERROR, 'refused': DiagnosticStatus.WARN}     # the others: OK

@@ -13,9 +13,9 @@ from gsdf_registration.confidence import predicted_tre
 from gsdf_registration.config import LimitsConfig
 from gsdf_registration.field import Field
 from gsdf_registration.guidance import Touch
+from gsdf_registration.live.survey import Survey
 from gsdf_registration.report.raycast import Camera, cast, light
 from gsdf_registration.rigid import Array, inverse, transform
-from gsdf_registration.survey import Survey
 
 POINT = 0.0012      # m, radius of a touched point
 PATCH = 0.008       # m, radius of a patch to touch

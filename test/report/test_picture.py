@@ -15,16 +15,16 @@ pytest.importorskip('matplotlib')
 import matplotlib.image  # noqa: E402
 
 from gsdf_registration import colours  # noqa: E402
-from gsdf_registration.collection import Points  # noqa: E402
 from gsdf_registration.config import Config  # noqa: E402
 from gsdf_registration.field import Field  # noqa: E402
 from gsdf_registration.guidance import Touch  # noqa: E402
+from gsdf_registration.live.survey import Survey  # noqa: E402
 from gsdf_registration.report import picture  # noqa: E402
 from gsdf_registration.report.raycast import cast, light, looking_at  # noqa: E402
 from gsdf_registration.report.view import Scene, View, paint  # noqa: E402
 from gsdf_registration.result import InputError, Reason, Refusal  # noqa: E402
 from gsdf_registration.rigid import Array, exp, transform  # noqa: E402
-from gsdf_registration.survey import Survey  # noqa: E402
+from gsdf_registration.session.collection import Points  # noqa: E402
 
 SHAPE = (120, 90)
 T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, touched
 
-from gsdf_registration.collection import Points
 from gsdf_registration.config import Config
 from gsdf_registration.live import LivePose, LiveStatus
+from gsdf_registration.live.survey import Survey
 from gsdf_registration.node import live as live_module
 from gsdf_registration.node.live import Live
 from gsdf_registration.result import Cancelled
 from gsdf_registration.rigid import transform
 from gsdf_registration.session import Session
-from gsdf_registration.survey import Survey
+from gsdf_registration.session.collection import Points
 
 pytestmark = pytest.mark.ros
 PATIENCE = 60.0

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A look at all points held: what is the pose, what speaks against it, what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from dataclasses import field as item
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsdf_registration import rigid
+from gsdf_registration.basins import Choice
+from gsdf_registration.confidence import assess
+from gsdf_registration.config import Config
+from gsdf_registration.density import first_of_each, on_strokes
+from gsdf_registration.field import Field
+from gsdf_registration.guidance import Touch, advise
+from gsdf_registration.judgement import Finding, describe, objections, too_loose
+from gsdf_registration.live.warm import WarmPose
+from gsdf_registration.registration import attempt, check_points
+from gsdf_registration.result import Reason, Refusal
+from gsdf_registration.rigid import Array
+from gsdf_registration.session.collection import Points
+from gsdf_registration.session.strokes import StrokeReport, report
+from gsdf_registration.solver import Solution, nearest_neighbours
+
+SEEN = 5    # times the points used that are looked at, or it would take ever longer
+Rows = NDArray[np.int64]
+LOOSE = Reason.UNDER_CONSTRAINED    # all that may speak against a pose that is shown
+Found = tuple[WarmPose, Finding, tuple[Refusal, ...]]   # ... and what speaks against it
+
+
+@dataclass(frozen=True)
+class Survey:
+    """
+    What was found.
+
+    points : all that were held
+    on_strokes : int, how many of them count
+    used : int, how many of these the pose was found from
+    searched : bool, whether the bone was searched for, not only followed
+    objections : what `register` would say against the pose, the gravest first
+    predicted_tre_m : as of a `RegistrationResult`; empty without a pose
+    pose : to be followed from here on; None if there is none
+    T_tracker_bone, covariance : (4, 4), (6, 6), of the pose as it was found; None unless it is
+        trusted, that is held too loosely at worst
+    touches : where to touch next, best first
+    residuals_m, weights : (n,) float, of the points; empty unless the pose is trusted
+    strokes : a report of each; none unless the pose is trusted
+    """
+
+    points: Points
+    on_strokes: int = 0
+    used: int = 0
+    searched: bool = False
+    objections: tuple[Refusal, ...] = ()
+    predicted_tre_m: dict[str, float] = item(default_factory=dict)
+    pose: WarmPose | None = None
+    T_tracker_bone: Array | None = None
+    covariance: Array | None = None
+    touches: tuple[Touch, ...] = ()
+    residuals_m: Array = item(default_factory=lambda: np.zeros(0))
+    weights: Array = item(default_factory=lambda: np.zeros(0))
+    strokes: tuple[StrokeReport, ...] = ()
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the pose may be shown."""
+        return self.T_tracker_bone is not None
+
+
+def survey(points: Points, field: Field, config: Config, before: Solution | None,
+           search_from: float, guess: Array | None, last: tuple[Refusal, ...],
+           cancelled: Callable[[], bool]) -> Survey:
+    """
+    Look at all points.
+
+    Parameters
+    ----------
+    points : Points
+    field : of the bone
+    config : Config
+    before : Solution, optional
+        To follow, unless the bone is searched for.
+    search_from : float
+        With so many points on strokes, or more, the bone is searched for.
+    guess : (4, 4) float, optional
+        T_bone_tracker, where it is searched for first.
+    last : of Refusal
+        What is said while there is nothing to follow.
+    cancelled : asked now and then; a true answer ends the work
+
+    Raises
+    ------
+    Cancelled
+
+    """
+    positions = points.positions
+    try:
+        check_points(positions, field, config.limits)
+    except Refusal as refusal:
+        return Survey(points, objections=(refusal,))
+    rows = thinned(np.arange(len(positions)), SEEN * config.live.max_points)
+    seen = positions[rows]
+    dense = np.flatnonzero(on_strokes(seen, config.search.radius) & first_of_each(seen))
+    count = len(dense) * len(positions) // len(rows)
+    chosen = thinned(dense, config.live.max_points)
+    searched = count >= search_from
+    if searched:
+        pose, found, against = _searched(seen[chosen], field, config, guess, cancelled)
+    elif before is not None:
+        pose, found, against = _followed(seen[chosen], field, config, before)
+    else:
+        return Survey(points, count, objections=last)
+    tre = found.known.get('predicted_tre_m', {})
+    known = Survey(points, count, len(chosen), searched, against, tre, pose)
+    if found.confidence is None or any(no.reason is not LOOSE for no in against):
+        # a search may find it elsewhere; what was followed may be off for a moment
+        return replace(known, pose=None) if searched else known
+    # a point that was thinned out is on the bone if the one next to it is
+    weights = np.zeros(len(seen))
+    weights[dense] = pose.solution.weights[_last_of(chosen, dense)]
+    weights = weights[_last_of(rows, np.arange(len(positions)))]
+    residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, positions))[0]
+    return replace(known, T_tracker_bone=pose.T_tracker_bone, covariance=pose.covariance,
+                   touches=_touches(pose, found, field, config) if against else (),
+                   residuals_m=residuals, weights=weights,
+                   strokes=tuple(report(points, residuals, weights)))
+
+
+def thinned(rows: Rows, most: int) -> Rows:
+    """Return ``rows`` (n,), or ``most`` of them, spread evenly from the first to the last."""
+    if len(rows) <= most:
+        return rows
+    return np.asarray(rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)])
+
+
+def _last_of(some: Rows, rows: Rows) -> Rows:
+    """Return the place in ``some``, rising, of the last that does not come after each of rows."""
+    return np.asarray(np.searchsorted(some, rows, side='right') - 1)
+
+
+def _searched(used: Array, field: Field, config: Config, guess: Array | None,
+              cancelled: Callable[[], bool]) -> Found:
+    """Do what `register` does, on one thread: the others have points to take in meanwhile."""
+    config = config.replaced({'search.threads': 1})
+    every = np.ones(len(used), dtype=bool)
+    for start in (None,) if guess is None else (guess, None):
+        found = attempt(used, every, start, field, config, cancelled)
+        against = tuple(objections(found, used, field, config))
+        if all(no.reason is LOOSE for no in against):
+            break
+    pose = WarmPose(used, field, found.choice.solution, config)
+    pose.confidence = found.confidence
+    return pose, found, against
+
+
+def _followed(used: Array, field: Field, config: Config, before: Solution) -> Found:
+    """Solve from a pose found before."""
+    pose = WarmPose(used, field, before, config)
+    T_bone_tracker = pose.solution.T_bone_tracker
+    around = nearest_neighbours(used, field, T_bone_tracker, 3 * config.solver.neighbours)
+    pose.confidence = assess(pose.solution, used, around)
+    residuals = field.sample(rigid.transform(T_bone_tracker, used))[0]
+    found = describe(Choice(pose.solution, residuals, []), pose.confidence,
+                     np.ones(len(used), dtype=bool), field, config)
+    return pose, found, tuple(objections(found, used, field, config))
+
+
+def _touches(pose: WarmPose, found: Finding, field: Field, config: Config) -> tuple[Touch, ...]:
+    """Return where a touch would help most."""
+    on_bone = pose.points[pose.solution.weights > 0.5]
+    touched = rigid.transform(pose.solution.T_bone_tracker, on_bone)
+    place, _ = too_loose(found, touched, field, config)
+    if place is None or found.confidence is None:
+        return ()
+    return tuple(advise(found.confidence, field, touched, place.targets, config))

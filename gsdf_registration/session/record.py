@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A session in plain lists and numbers, bound to its bone: what is saved and loaded.
+
+SI units, the frames by name.  ``points`` has a row for each point held: its stroke (from 1), the
+number of its source in ``sources`` (from 0), its stamp, its position in frame ``frames.points``,
+and, if it was given to the last good registration, its residual (null: left out as a stray) and its
+weight there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numba
+import numpy as np
+
+from gsdf_registration import __version__
+from gsdf_registration.config import Config
+from gsdf_registration.result import InputError, Reason, RegistrationResult, WeakestDirection
+from gsdf_registration.rigid import Array, is_rigid
+from gsdf_registration.session.collection import Points
+from gsdf_registration.session.touches import CapturedLandmark
+from gsdf_registration.session.verification import Verification
+
+COLUMNS = ('stroke', 'source', 'stamp', 'x', 'y', 'z', 'residual', 'weight')
+STROKE, SOURCE, STAMP, FIT = 0, 1, 2, 6
+_PER_POINT = ('residuals_m', 'weights', 'history')      # the first two stand with the points
+
+
+@dataclass(frozen=True)
+class SessionRecord:
+    """All that a session must remember."""
+
+    model_sha256: str | None            # None: points were collected before a bone was loaded
+    frame_id: str | None
+    collecting: bool
+    source_names: list[str]
+    points: Points                      # n of them
+    residuals: Array                    # (n,) m, at the last good pose; NaN: not known
+    weights: Array                      # (n,) NaN: the point was not given to that registration
+    rejected: dict[str, int]
+    landmarks: list[CapturedLandmark]
+    verifications: list[Verification]
+    result: RegistrationResult | None
+    pose_result: RegistrationResult | None
+    pose_frame_id: str
+
+    def to_dict(self, config: Config) -> dict[str, Any]:
+        """Return the record with the settings and the versions, ready for JSON."""
+        return empty_record(self.model_sha256) | {
+            'versions': {'gsdf_registration': __version__, 'python': platform.python_version(),
+                         'numpy': np.__version__, 'numba': numba.__version__},
+            'frames': {'points': self.frame_id, 'pose': self.pose_frame_id,
+                       'bone': config.model.frame_id},
+            'collecting': self.collecting, 'sources': self.source_names,
+            'rejected': self.rejected, 'landmarks': plain(self.landmarks),
+            'verifications': plain(self.verifications), 'result': plain(self.result),
+            'pose_result': plain(self.pose_result), 'parameters': config.flat(),
+            'points': _rows(self.points, fit_of(self.residuals, self.weights))}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], model_sha256: str) -> SessionRecord:
+        """
+        Return the record of a session with the bone of that hash.
+
+        Raises
+        ------
+        InputError
+            When it is of another bone, or damaged.
+
+        """
+        try:
+            if record['model_sha256'] not in (None, model_sha256):
+                raise InputError(
+                    'the session belongs to another bone model; load the model it was made with')
+            frame_id, sources = record['frames']['points'], record['sources']
+            points, residuals, weights = _columns(record['points'], len(sources))
+            return cls(
+                model_sha256=record['model_sha256'],
+                frame_id=None if frame_id is None else str(frame_id),
+                collecting=bool(record['collecting']),
+                source_names=[str(name) for name in sources],
+                points=points, residuals=residuals, weights=weights,
+                rejected={str(cause): int(count) for cause, count in record['rejected'].items()},
+                landmarks=[CapturedLandmark(
+                    str(item['name']), _array(item['model']), _array(item['tracker']),
+                    float(item['spread_m']), float(item['stamp'])) for item in record['landmarks']],
+                verifications=[_verification(item) for item in record['verifications']],
+                result=_result(record['result']), pose_result=_result(record['pose_result']),
+                pose_frame_id=str(record['frames']['pose']))
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise InputError(f'the session is damaged: {type(error).__name__} {error}') from None
+
+
+def empty_record(model_sha256: str | None) -> dict[str, Any]:
+    """Return the record of a session that holds nothing; its keys are those of every record."""
+    return {'versions': {}, 'model_sha256': model_sha256,
+            'frames': {'points': None, 'pose': '', 'bone': ''}, 'collecting': False,
+            'sources': [], 'rejected': {}, 'landmarks': [], 'verifications': [], 'result': None,
+            'pose_result': None, 'parameters': {}, 'columns': list(COLUMNS), 'points': []}
+
+
+def fit_of(residuals: Array, weights: Array) -> list[list[float | None] | None]:
+    """Return [residual, weight] of each point (n,), None where it was not registered."""
+    return [None if weight != weight else [None if residual != residual else residual, weight]
+            for residual, weight in zip(residuals.round(7).tolist(), weights.round(4).tolist())]
+
+
+def plain(value: Any) -> Any:
+    """Return dataclasses, arrays, enums as dicts, lists and numbers; non-finite numbers as None."""
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {key: plain(item) for key, item in vars(value).items() if key not in _PER_POINT}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _rows(points: Points, fit: list[list[float | None] | None]) -> list[list[Any]]:
+    return [[stroke, source, stamp, *position, *(known or (None, None))]
+            for stroke, source, stamp, position, known in zip(
+                points.strokes.tolist(), points.sources.tolist(), points.stamps.tolist(),
+                points.positions.tolist(), fit)]
+
+
+def _columns(rows: list[list[Any]], sources: int) -> tuple[Points, Array, Array]:
+    """Return points, residuals and weights; None becomes NaN."""
+    table = np.array(rows, np.float64).reshape(-1, len(COLUMNS))
+    numbers = table[:, [STROKE, SOURCE]]
+    if len(table) != len(rows) or not np.isfinite(table[:, :FIT]).all():
+        raise ValueError(f'its points are not rows of {", ".join(COLUMNS)}')
+    if (numbers % 1.0 != 0.0).any() or not (
+            (numbers >= [1.0, 0.0]) & (numbers < [2.0**31, sources])).all():
+        raise ValueError('a point is of no stroke or of no source')
+    return (Points(table[:, 3:FIT].copy(), table[:, STAMP].copy(),
+                   table[:, STROKE].astype(np.int32), table[:, SOURCE].astype(np.int32)),
+            table[:, FIT].copy(), table[:, FIT + 1].copy())
+
+
+def _verification(item: Mapping[str, Any]) -> Verification:
+    moved = item['moved_m']
+    return Verification(_array(item['position']), float(item['distance_m']), float(item['stamp']),
+                        int(item['checkpoint']), None if moved is None else float(moved))
+
+
+def _array(values: Any, shape: tuple[int, ...] = (3,)) -> Array:
+    array = np.array(values, np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f'{values} is not an array of {" x ".join(map(str, shape))} numbers')
+    return array
+
+
+def _result(values: Mapping[str, Any] | None) -> RegistrationResult | None:
+    if values is None:
+        return None
+    known = {item.name for item in dataclasses.fields(RegistrationResult)} - set(_PER_POINT)
+    values = {key: value for key, value in values.items() if key in known}
+    for key, shape in (('T_tracker_bone', (4, 4)), ('covariance', (6, 6))):
+        values[key] = None if values[key] is None else _array(values[key], shape)
+    weakest = values['weakest_direction']
+    if weakest is not None:
+        pitch = weakest['pitch_m_per_rad']
+        values['weakest_direction'] = WeakestDirection(**{
+            **weakest, 'axis': _array(weakest['axis']), 'point': _array(weakest['point']),
+            'pitch_m_per_rad': math.inf if pitch is None else pitch})
+    result = RegistrationResult(**{**values, 'reason': Reason(values['reason'])})
+    if result.success and (result.T_tracker_bone is None or not is_rigid(result.T_tracker_bone)):
+        raise ValueError('a registration without a proper pose')
+    return result
