@@ -26,7 +26,7 @@ from gsdf_registration.session.collection import Points
 from gsdf_registration.session.strokes import StrokeReport, report
 from gsdf_registration.solver import Solution, nearest_neighbours
 
-SEEN = 5    # times the points used that are looked at, or it would take ever longer
+SEEN = 2    # times the points used that are looked at, or it would take ever longer
 Rows = NDArray[np.int64]
 LOOSE = Reason.UNDER_CONSTRAINED    # all that may speak against a pose that is shown
 Found = tuple[WarmPose, Finding, tuple[Refusal, ...]]   # ... and what speaks against it

@@ -15,6 +15,7 @@ from gsdf_registration.rigid import Array
 from gsdf_registration.solver import Neighbourhood, Solution, refine
 
 MOVED = 0.003   # m: farther from where they were found, neighbours are others
+FEW = 0.002     # share of the points that moves nothing, and need not be solved for
 CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T     # of a box: low or high in each axis
 
 
@@ -57,6 +58,7 @@ class WarmPose:
 
         Points without neighbours are left out, as `density.on_strokes` would leave them; so are
         those beyond ``live.max_points``.  Both have their turn when all points are looked at again.
+        A few among many wait for others before it is solved again.
         """
         self._held = np.concatenate([self._held, points])
         around = (cdist(points, self._held) <= self._config.search.radius).sum(axis=1) - 1
@@ -66,6 +68,8 @@ class WarmPose:
             return
         self.points = np.concatenate([self.points, joining])
         self._neighbourhood.add(joining)
+        if len(self.points) - len(self.solution.weights) < FEW * len(self.points):
+            return
         self._solve()
         if self._moved() > MOVED:
             self._settle()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from gsdf_registration.node.node import RegistrationNode
 
 PERIOD = 0.1        # s, between two looks at whether a point has waited for too long
+SELDOM = 1.0        # s, the same where none can have waited
 RECENT = 3.0        # s for which it is told why points have been refused
 QUIET = 10.0        # s, between two lines of the log on the same thing
 
@@ -64,6 +65,10 @@ class Inputs:
             self._transforms.destroy()
             self._frames = self._transforms = None
         self._feed.configure(config, self._frames)
+        # without either no point ever waits, and looking costs time, too
+        waits = config.reference.topic or self._transforms is not None
+        self._node.destroy_timer(self._timer)
+        self._timer = self._node.create_timer(PERIOD if waits else SELDOM, self._look)
 
     def destroy(self) -> None:
         """Listen no more."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -42,6 +43,10 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
         reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
         raise InputError(error.message, reason) from None
     _compile(field, config)
+    # what is there by now stays; to look through all of it again and again, the collector would
+    # stop everything for a tenth of a second
+    gc.collect()
+    gc.freeze()
     log.info(f'{path} is loaded')
     return field
 

@@ -8,6 +8,7 @@ Calls its services and hears what it says.
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -26,6 +27,7 @@ from gsdf_registration.node.qos import LATCHED
 from gsdf_registration.result import InputError
 from gsdf_registration.session.touches import Answer
 
+AGAIN = 2.0         # s without an answer after which a question that does no harm is asked again
 NUMBERS = itertools.count(1)      # two nodes of one name in a process would share their log
 
 
@@ -69,9 +71,22 @@ class Operator:
         return self._answer(self.start(SetBool, 'collect', SetBool.Request(data=on)))
 
     def state(self) -> str:
-        """Return the lifecycle state of the node."""
-        return self.result(self.start(GetState, 'get_state',
-                                      GetState.Request())).current_state.label
+        """
+        Return the lifecycle state of the node.
+
+        It is asked for again and again: the answer is lost if the node does not know of us yet.
+        """
+        future, asked = None, -math.inf
+
+        def answered() -> bool:
+            nonlocal future, asked
+            if time.monotonic() - asked > AGAIN:
+                future = self.start(GetState, 'get_state', GetState.Request())
+                asked = time.monotonic()
+            return bool(future and future.done())
+        self.spin_until(answered, 'the state was not told')
+        assert future is not None
+        return str(future.result().current_state.label)
 
     def start(self, kind: Any, service: str, request: Any) -> Any:
         """Send a request to ``~/service``; `result` waits for its response."""

@@ -13,7 +13,7 @@ from gsdf_registration.live.warm import MOVED, WarmPose
 from gsdf_registration.rigid import Array, exp, inverse, transform
 from gsdf_registration.solver import nearest_neighbours, solve
 
-CONFIG = Config()
+CONFIG = Config.from_flat({'live.max_points': 2000})
 NEAR = exp([0.01, -0.01, 0.02, 0.0005, -0.0005, 0.001]) @ inverse(T_TRACKER_BONE)
 
 

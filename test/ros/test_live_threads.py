@@ -162,7 +162,7 @@ def test_it_stops_in_the_middle_of_a_search(node: Node, session: Session, live: 
                                             monkeypatch: pytest.MonkeyPatch) -> None:
     endless = Endless(node)
     fill(session, 100)
-    monkeypatch.setattr('gsdf_registration.live.survey', endless)
+    monkeypatch.setattr('gsdf_registration.live.live.survey', endless)
     live.wake()
     node.await_that(lambda: 100 in endless.begun)
     live.stop()
@@ -175,7 +175,7 @@ def test_a_search_of_points_that_are_dropped_is_given_up(node: Node, session: Se
                                                          monkeypatch: pytest.MonkeyPatch) -> None:
     endless = Endless(node)
     fill(session, 100)
-    monkeypatch.setattr('gsdf_registration.live.survey', endless)
+    monkeypatch.setattr('gsdf_registration.live.live.survey', endless)
     live.wake()
     node.await_that(lambda: 100 in endless.begun)
     assert session.undo().success

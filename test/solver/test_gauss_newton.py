@@ -122,7 +122,7 @@ def test_a_pose_about_the_centroid_is_the_same_pose(seed: int) -> None:
     centred, centre, R, t = np.empty((20, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
     about_centroid(points, worn, centred, centre, R, t)
     np.testing.assert_allclose(centred @ R.T + t, rigid.transform(T, points), atol=1e-4)
-    np.testing.assert_allclose(centred.mean(axis=0), 0.0, atol=1e-15)
+    np.testing.assert_allclose(centred.mean(axis=0), 0.0, atol=1e-14)
     back = np.empty((4, 4))
     pose_about(centre, R, t, back)
     assert rigid.is_rigid(back, 1e-14)
