@@ -28,8 +28,9 @@ from gsdf_registration.solver import Solution, nearest_neighbours
 
 SEEN = 2    # times the points used that are looked at, or it would take ever longer
 Rows = NDArray[np.int64]
-LOOSE = Reason.UNDER_CONSTRAINED    # all that may speak against a pose that is shown
-Found = tuple[WarmPose, Finding, tuple[Refusal, ...]]   # ... and what speaks against it
+# All that may speak against a pose that is shown; of one that was followed for a while, it is for a
+# search to say whether it fits the model too badly, for that hangs on which points are used.
+LOOSE = Reason.UNDER_CONSTRAINED
 
 
 @dataclass(frozen=True)
@@ -109,14 +110,17 @@ def survey(points: Points, field: Field, config: Config, before: Solution | None
     chosen = thinned(dense, config.live.max_points)
     searched = count >= search_from
     if searched:
-        pose, found, against = _searched(seen[chosen], field, config, guess, cancelled)
+        found, against = _searched(seen[dense], field, config, guess, cancelled)
+        pose = WarmPose(seen[chosen], field, found.choice.solution, config)
+        pose.confidence = found.confidence
     elif before is not None:
         pose, found, against = _followed(seen[chosen], field, config, before)
     else:
         return Survey(points, count, objections=last)
     tre = found.known.get('predicted_tre_m', {})
     known = Survey(points, count, len(chosen), searched, against, tre, pose)
-    if found.confidence is None or any(no.reason is not LOOSE for no in against):
+    may_be_said = (LOOSE,) if searched else (LOOSE, Reason.MODEL_MISMATCH)
+    if found.confidence is None or any(no.reason not in may_be_said for no in against):
         # a search may find it elsewhere; what was followed may be off for a moment
         return replace(known, pose=None) if searched else known
     # a point that was thinned out is on the bone if the one next to it is
@@ -143,7 +147,7 @@ def _last_of(some: Rows, rows: Rows) -> Rows:
 
 
 def _searched(used: Array, field: Field, config: Config, guess: Array | None,
-              cancelled: Callable[[], bool]) -> Found:
+              cancelled: Callable[[], bool]) -> tuple[Finding, tuple[Refusal, ...]]:
     """Do what `register` does, on one thread: the others have points to take in meanwhile."""
     config = config.replaced({'search.threads': 1})
     every = np.ones(len(used), dtype=bool)
@@ -152,12 +156,11 @@ def _searched(used: Array, field: Field, config: Config, guess: Array | None,
         against = tuple(objections(found, used, field, config))
         if all(no.reason is LOOSE for no in against):
             break
-    pose = WarmPose(used, field, found.choice.solution, config)
-    pose.confidence = found.confidence
-    return pose, found, against
+    return found, against
 
 
-def _followed(used: Array, field: Field, config: Config, before: Solution) -> Found:
+def _followed(used: Array, field: Field, config: Config,
+              before: Solution) -> tuple[WarmPose, Finding, tuple[Refusal, ...]]:
     """Solve from a pose found before."""
     pose = WarmPose(used, field, before, config)
     T_bone_tracker = pose.solution.T_bone_tracker
