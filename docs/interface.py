@@ -19,7 +19,8 @@ from typing import NamedTuple
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from gsdf_registration.config import default_of, settings
+from gsdf_registration.config import settings
+from gsdf_registration.declaration import default_of
 from gsdf_registration.node.domain import own_domain
 from gsdf_registration.node.operator import Operator
 from gsdf_registration.node.parameters import parameter_type

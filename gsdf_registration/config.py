@@ -9,33 +9,23 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from gsdf_registration.declaration import checked, declared, flattened
 from gsdf_registration.result import InputError
-
-
-def _setting(default: Any, description: str, unit: str = '', low: float | None = None,
-             high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False) -> Any:
-    """Declare a field with what a ROS parameter needs; ``fixed``: read at configuring."""
-    about = {'description': description, 'unit': unit, 'low': low, 'high': high,
-             'choices': choices, 'fixed': fixed}
-    if isinstance(default, list):
-        return field(default_factory=lambda: list(default), metadata=about)
-    return field(default=default, metadata=about)
 
 
 @dataclass(frozen=True)
 class ModelConfig:
     """The bone."""
 
-    path: str = _setting('', 'mesh (STL, PLY, OBJ, OFF), .gsdf field or point cloud with normals; '
+    path: str = declared('', 'mesh (STL, PLY, OBJ, OFF), .gsdf field or point cloud with normals; '
                          'a path or a package:// URI')
-    unit: str = _setting('mm', 'unit of the lengths in the model file', choices=('mm', 'm'))
-    frame_id: str = _setting('bone', 'name of the frame of the bone model', fixed=True)
-    voxel_size: float = _setting(0.001, 'spacing of the signed-distance samples near the surface',
+    unit: str = declared('mm', 'unit of the lengths in the model file', choices=('mm', 'm'))
+    frame_id: str = declared('bone', 'name of the frame of the bone model', fixed=True)
+    voxel_size: float = declared(0.001, 'spacing of the signed-distance samples near the surface',
                                  'm', 1e-4, 0.01)
 
 
@@ -43,8 +33,8 @@ class ModelConfig:
 class ProbeConfig:
     """Where points come from."""
 
-    topics: list[str] = _setting(['/probe/tip'], 'PointStamped topics of the probe tip')
-    frame_id: str = _setting('', 'frame the points must be in, or that /tf leads to; empty: that '
+    topics: list[str] = declared(['/probe/tip'], 'PointStamped topics of the probe tip')
+    frame_id: str = declared('', 'frame the points must be in, or that /tf leads to; empty: that '
                              'of the first point')
 
 
@@ -52,11 +42,11 @@ class ProbeConfig:
 class ReferenceConfig:
     """The array fixed to the bone, if it moves."""
 
-    topic: str = _setting(
+    topic: str = declared(
         '',
         'PoseStamped topic of the reference array in the tracker frame; empty: none',
         fixed=True)
-    frame_id: str = _setting('reference_array', 'name of the frame of the array, in which the bone '
+    frame_id: str = declared('reference_array', 'name of the frame of the array, in which the bone '
                              'is then registered', fixed=True)
 
 
@@ -64,8 +54,8 @@ class ReferenceConfig:
 class CollectConfig:
     """When points are kept."""
 
-    automatic: bool = _setting(True, 'collect from activation on, without a call of ~/collect')
-    max_points: int = _setting(200_000, 'points kept at most; further ones are refused and counted',
+    automatic: bool = declared(True, 'collect from activation on, without a call of ~/collect')
+    max_points: int = declared(200_000, 'points kept at most; further ones are refused and counted',
                                '', 100, 10_000_000)
 
 
@@ -73,16 +63,16 @@ class CollectConfig:
 class GateConfig:
     """Which points are believed."""
 
-    max_speed: float = _setting(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0,
+    max_speed: float = declared(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0,
                                 100.0)
-    max_gap: float = _setting(0.5, 'a longer silence starts a new stroke', 's', 0.0, 3600.0)
-    lift_speed: float = _setting(0.1, 'a tip faster than this has lifted off, which starts a new '
+    max_gap: float = declared(0.5, 'a longer silence starts a new stroke', 's', 0.0, 3600.0)
+    lift_speed: float = declared(0.1, 'a tip faster than this has lifted off, which starts a new '
                                  'stroke, as does its landing; 0: never', 'm/s', 0.0, 100.0)
-    min_distance: float = _setting(0.0, 'a point this near to the last one is a duplicate', 'm',
+    min_distance: float = declared(0.0, 'a point this near to the last one is a duplicate', 'm',
                                    0.0, 0.01)
-    max_age: float = _setting(0.5, 'a point older than this when it arrives is refused', 's', 0.0,
+    max_age: float = declared(0.5, 'a point older than this when it arrives is refused', 's', 0.0,
                               3600.0)
-    quality: float = _setting(0.001,
+    quality: float = declared(0.001,
                               "a point whose tracker error exceeds this is refused; 0: don't look",
                               'm', 0.0, 0.1)
 
@@ -91,12 +81,12 @@ class GateConfig:
 class LiveConfig:
     """The pose that is kept up while points come in."""
 
-    enabled: bool = _setting(True, 'whether to keep a pose up while points come in')
-    max_rate: float = _setting(100.0, 'the live pose is found and published this often at most',
+    enabled: bool = declared(True, 'whether to keep a pose up while points come in')
+    max_rate: float = declared(100.0, 'the live pose is found and published this often at most',
                                'Hz', 0.1, 1000.0)
-    max_points: int = _setting(2000, 'points it is found from at most; of more, so many spread '
+    max_points: int = declared(2000, 'points it is found from at most; of more, so many spread '
                                'over all', '', 100, 1_000_000)
-    status_rate: float = _setting(2.0, 'status and markers follow it this often at most', 'Hz',
+    status_rate: float = declared(2.0, 'status and markers follow it this often at most', 'Hz',
                                   0.1, 50.0)
 
 
@@ -104,82 +94,82 @@ class LiveConfig:
 class LandmarksConfig:
     """Named model points that the operator touches for a first guess."""
 
-    names: list[str] = _setting([], 'landmarks in the order they are touched')
-    positions: list[float] = _setting([], 'their positions, x y z each, bone frame', 'm')
-    dwell: float = _setting(0.5, 'the tip must have rested this long', 's', 0.05, 10.0)
-    radius: float = _setting(0.002, 'a tip that stays within this radius rests', 'm', 1e-4, 0.02)
+    names: list[str] = declared([], 'landmarks in the order they are touched')
+    positions: list[float] = declared([], 'their positions, x y z each, bone frame', 'm')
+    dwell: float = declared(0.5, 'the tip must have rested this long', 's', 0.05, 10.0)
+    radius: float = declared(0.002, 'a tip that stays within this radius rests', 'm', 1e-4, 0.02)
 
 
 @dataclass(frozen=True)
 class SearchConfig:
     """The global search for a first guess."""
 
-    rotations: int = _setting(200, 'attitudes tried', '', 1, 100_000)
-    places: int = _setting(100, 'places on the bone tried for each of them', '', 1, 10_000)
-    parts: int = _setting(7, 'places round which parts of the points are also tried alone', '', 0,
+    rotations: int = declared(200, 'attitudes tried', '', 1, 100_000)
+    places: int = declared(100, 'places on the bone tried for each of them', '', 1, 10_000)
+    parts: int = declared(7, 'places round which parts of the points are also tried alone', '', 0,
                           100)
-    reach: float = _setting(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
-    radius: float = _setting(0.004, 'a point with few neighbours within this radius is stray', 'm',
+    reach: float = declared(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
+    radius: float = declared(0.004, 'a point with few neighbours within this radius is stray', 'm',
                              1e-4, 0.1)
-    spacing: float = _setting(0.002,
+    spacing: float = declared(0.002,
                               'points nearer to one another than this count as one in the search',
                               'm', 1e-5, 0.1)
-    solutions: int = _setting(6, 'poses that fit best which are solved to the end', '', 1, 100)
-    threads: int = _setting(0, 'worker threads; 0: one a core', '', 0, 256)
+    solutions: int = declared(6, 'poses that fit best which are solved to the end', '', 1, 100)
+    threads: int = declared(0, 'worker threads; 0: one a core', '', 0, 256)
 
 
 @dataclass(frozen=True)
 class SolverConfig:
     """The estimate of the pose from a first guess."""
 
-    method: str = _setting('mixture', 'how the pose is estimated: mixture, or the published method',
+    method: str = declared('mixture', 'how the pose is estimated: mixture, or the published method',
                            choices=('mixture', 'paper'))
-    max_iterations: int = _setting(200, 'Gauss-Newton steps at most', '', 1, 100_000)
-    neighbours: int = _setting(16,
+    max_iterations: int = declared(200, 'Gauss-Newton steps at most', '', 1, 100_000)
+    neighbours: int = declared(16,
                                'mixture: points whose mean residual tells bone from interference',
                                '', 2, 1000)
-    reach: float = _setting(0.006, 'mixture: interference is reckoned with this far from the bone',
+    reach: float = declared(0.006, 'mixture: interference is reckoned with this far from the bone',
                             'm', 1e-4, 0.1)
-    model_error: float = _setting(0.0006, 'mixture: how far the model may be off over a stretch',
+    model_error: float = declared(0.0006, 'mixture: how far the model may be off over a stretch',
                                   'm', 0.0, 0.01)
-    tolerance: float = _setting(1e-6, 'mixture: a shorter step is not taken any more', 'm', 1e-15,
+    tolerance: float = declared(1e-6, 'mixture: a shorter step is not taken any more', 'm', 1e-15,
                                 1e-3)
-    cauchy_scale: float = _setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
+    cauchy_scale: float = declared(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
                                    1e-5, 0.1)
-    discard_below: float = _setting(
+    discard_below: float = declared(
         0.1, 'paper: a point of less weight is discarded (delta of Algorithm 1)', '', 0.0, 1.0)
-    weight_tolerance: float = _setting(
+    weight_tolerance: float = declared(
         1e-3, 'paper: IRLS ends when the weights move less, root mean square (epsilon of '
         'Algorithm 1)', '', 1e-12, 1.0)
-    hold: int = _setting(2, 'paper: the end must be met this many times in a row', '', 1, 100)
+    hold: int = declared(2, 'paper: the end must be met this many times in a row', '', 1, 100)
 
 
 @dataclass(frozen=True)
 class LimitsConfig:
     """When to refuse."""
 
-    min_points: int = _setting(30, 'fewer points are no registration', '', 6, 100_000)
-    min_extent: float = _setting(0.02, 'the points must span this much', 'm', 0.0, 1.0)
-    min_inliers: float = _setting(0.5, 'share of the points on strokes that must lie on the bone',
+    min_points: int = declared(30, 'fewer points are no registration', '', 6, 100_000)
+    min_extent: float = declared(0.02, 'the points must span this much', 'm', 0.0, 1.0)
+    min_inliers: float = declared(0.5, 'share of the points on strokes that must lie on the bone',
                                   '', 0.0, 1.0)
-    max_pattern: float = _setting(
+    max_pattern: float = declared(
         1.55, 'residuals that vary together along the strokes this many times more than noise '
         'does are not of this bone', '', 1.0, 1000.0)
-    clear_inliers: float = _setting(
+    clear_inliers: float = declared(
         0.93, 'with this share of the points on the bone a pattern is put down to the model', '',
         0.0, 1.0)
-    max_sigma: float = _setting(0.002, 'more noise than this is not this bone or not this tracker',
+    max_sigma: float = declared(0.002, 'more noise than this is not this bone or not this tracker',
                                 'm', 1e-5, 0.1)
-    min_gap: float = _setting(
+    min_gap: float = declared(
         24.0, 'natural logarithm of how much likelier the pose must be than any other; less is '
         'ambiguous', '', 0.0, 1e6)
-    max_predicted_tre: float = _setting(
+    max_predicted_tre: float = declared(
         0.002, 'predicted TRE (RMS) allowed at the targets; without any, on the bone within 100 mm '
         'of what was touched', 'm', 1e-5, 1.0)
-    max_bone_tre: float = _setting(
+    max_bone_tre: float = declared(
         0.0015, 'predicted TRE (RMS) allowed over the whole bone, where no targets are named', 'm',
         1e-5, 1.0)
-    verification: float = _setting(0.002, 'distance at a verification point that still passes', 'm',
+    verification: float = declared(0.002, 'distance at a verification point that still passes', 'm',
                                    1e-5, 0.1)
 
 
@@ -187,17 +177,17 @@ class LimitsConfig:
 class TargetsConfig:
     """Where on the bone the accuracy matters."""
 
-    names: list[str] = _setting([], 'targets at which TRE is predicted')
-    positions: list[float] = _setting([], 'their positions, x y z each, bone frame', 'm')
+    names: list[str] = declared([], 'targets at which TRE is predicted')
+    positions: list[float] = declared([], 'their positions, x y z each, bone frame', 'm')
 
 
 @dataclass(frozen=True)
 class GuidanceConfig:
     """Where to touch next."""
 
-    reach: float = _setting(0.05, 'places on the bone this near to what was touched are proposed',
+    reach: float = declared(0.05, 'places on the bone this near to what was touched are proposed',
                             'm', 0.01, 1.0)
-    near: list[str] = _setting([], 'landmarks or targets near which places are proposed instead, '
+    near: list[str] = declared([], 'landmarks or targets near which places are proposed instead, '
                                'such as the middle of what the wound exposes')
 
 
@@ -205,7 +195,7 @@ class GuidanceConfig:
 class TfConfig:
     """The transform on /tf."""
 
-    rate: float = _setting(10.0, 'the bone transform is re-sent this often; 0: never', 'Hz', 0.0,
+    rate: float = declared(10.0, 'the bone transform is re-sent this often; 0: never', 'Hz', 0.0,
                            1000.0)
 
 
@@ -213,8 +203,8 @@ class TfConfig:
 class SessionConfig:
     """The file of ~/save and ~/load."""
 
-    path: str = _setting('registration_session.json', 'session file')
-    resume: bool = _setting(False, 'take up at start what the journal beside session.path holds, '
+    path: str = declared('registration_session.json', 'session file')
+    resume: bool = declared(False, 'take up at start what the journal beside session.path holds, '
                             'as after a crash', fixed=True)
 
 
@@ -271,7 +261,7 @@ class Config:
                                                  and 'ros__parameters' in inner):
                 break
             values = inner
-        return cls.from_flat(dict(_flattened(values)))
+        return cls.from_flat(dict(flattened(values)))
 
     def replaced(self, values: Mapping[str, Any]) -> Config:
         """Return a copy with the dotted names in ``values`` changed; raises as `from_flat`."""
@@ -284,7 +274,7 @@ class Config:
                                  + (f'did you mean {alike[0]}? All' if alike else 'known ones')
                                  + ' are listed in config/registration.yaml')
             section, key = name.split('.')
-            changes.setdefault(section, {})[key] = _checked(name, value, known[name])
+            changes.setdefault(section, {})[key] = checked(name, value, known[name])
         config = dataclasses.replace(self, **{
             section: dataclasses.replace(getattr(self, section), **keys)
             for section, keys in changes.items()})
@@ -317,49 +307,3 @@ def settings() -> Iterator[tuple[str, dataclasses.Field[Any]]]:
     for section in dataclasses.fields(Config):
         for setting in dataclasses.fields(section.default_factory):  # type: ignore[arg-type]
             yield f'{section.name}.{setting.name}', setting
-
-
-def default_of(setting: dataclasses.Field[Any]) -> Any:
-    """Return the default value of a field of `settings`."""
-    factory = setting.default_factory
-    return setting.default if factory is dataclasses.MISSING else factory()
-
-
-def _flattened(values: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flattened(value, f'{prefix}{key}.')
-        else:
-            yield f'{prefix}{key}', value
-
-
-def _fits(value: Any, kind: type) -> bool:
-    """Tell whether a value can stand for a bool, str, int or float; numbers must be finite."""
-    if kind in (bool, str):
-        return isinstance(value, kind)
-    return (isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-            and (kind is float or value == int(value)))
-
-
-def _checked(name: str, value: Any, setting: dataclasses.Field[Any]) -> Any:
-    """Return the value in its declared type, or raise InputError."""
-    about = setting.metadata
-    default = default_of(setting)
-    if isinstance(default, list):
-        item = float if name.endswith('positions') else str
-        is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
-        if not is_list or not all(_fits(v, item) for v in value):
-            raise InputError(f'{name} must be a list of {item.__name__}, not {value!r}')
-        return [item(v) for v in value]
-    kind = type(default)
-    if not _fits(value, kind):
-        wanted = {bool: 'a bool', str: 'a str', int: 'a whole number',
-                  float: 'a finite number'}[kind]
-        raise InputError(f'{name} must be {wanted}, not {value!r}')
-    low, high = about['low'], about['high']
-    if low is not None and not low <= value <= high:
-        raise InputError(f'{name} must lie in [{low:g}, {high:g}] {about["unit"]}'.rstrip()
-                         + f', not {value:g}')
-    if about['choices'] and value not in about['choices']:
-        raise InputError(f'{name} must be one of {", ".join(about["choices"])}, not "{value}"')
-    return kind(value)

@@ -17,7 +17,8 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from gsdf_registration.config import Config, default_of, settings
+from gsdf_registration.config import Config, settings
+from gsdf_registration.declaration import default_of
 from gsdf_registration.result import InputError, Reason
 
 FOLDER = Path(__file__).parents[1] / 'config'

@@ -19,7 +19,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from gsdf_registration.config import Config, default_of, settings
+from gsdf_registration.config import Config, settings
+from gsdf_registration.declaration import default_of
 from gsdf_registration.result import InputError
 
 # What rclpy and launch set on every node, and what only a node has; all else is in config.py.
