@@ -62,6 +62,10 @@ class Choice:
         """Return the least cost elsewhere over the cost here; None if no other pose was found."""
         return min((rival.cost_ratio for rival in self.rivals), default=None)
 
+    def as_likely(self, min_gap: float) -> list[Array]:
+        """Return the poses, T_bone_tracker, less than ``min_gap`` less likely than the chosen."""
+        return [rival.T_bone_tracker for rival in self.rivals if rival.gap < min_gap]
+
 
 def choose(solutions: Sequence[Solution], points: Array, field: Field,
            config: SolverConfig) -> Choice:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gsdf_registration.result import ON_BONE
 from gsdf_registration.rigid import Array
 
 RESIDUAL = ('#08408f', '#3e9bcb', '#f0d264', '#ea7a1f', '#b3120f')  # none ... the limit and more
@@ -41,6 +42,6 @@ def residual_colours(residuals: Array, weights: Array, limit: float) -> Array:
     limit : float, m, where the scale ends
 
     """
-    used = np.isfinite(residuals) & (weights > 0.5)
+    used = np.isfinite(residuals) & (weights > ON_BONE)
     known = np.where(used, np.abs(residuals), 0.0)
     return np.where(used[:, None], on_scale(known, RESIDUAL, limit), rgb(UNUSED))

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsdf_registration import rigid
+from gsdf_registration.config import SolverConfig
+from gsdf_registration.field import Field
 from gsdf_registration.result import WeakestDirection
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import Solution
+from gsdf_registration.solver import Solution, nearest_neighbours
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,8 @@ class Confidence:
 
     def predicted_tre(self, targets: Array) -> Array:
         """Return the predicted TRE (n,) (RMS, m) at each of ``targets`` (n, 3), m, bone frame."""
-        # trace(B C B^T) with B = [-(q - m)^, I], written out for all targets at once
-        B = motion_at(targets - self.centre)
-        return np.asarray(np.sqrt((B @ self.motion_covariance * B).sum(axis=(1, 2))))
+        C = self.motion_covariance
+        return _expected(C[3:, 3:], C[3:, :3], C[:3, :3], targets - self.centre)
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
@@ -81,14 +82,22 @@ def predicted_tre(T_tracker_bone: Array, covariance: Array, points: Array) -> Ar
     Return the predicted TRE (n,) (RMS, m) at ``points`` (n, 3), m, bone frame, of a pose.
 
     ``covariance`` (6, 6) is that of `Confidence.pose_covariance`: of the bone's origin (t) and its
-    attitude about fixed axes (r).  A point q of the bone is off by t + r x a, a = R q, and the mean
-    square of that is a quadratic in a, so that a whole surface takes no time.
+    attitude about fixed axes (r).
     """
-    C_tt, C_tr, C_rr = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
-    a = points @ T_tracker_bone[:3, :3].T
+    return _expected(covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:],
+                     points @ T_tracker_bone[:3, :3].T)
+
+
+def _expected(C_tt: Array, C_tr: Array, C_rr: Array, arms: Array) -> Array:
+    """
+    Return the expected length (n,) (RMS) of t + r x a, r and t small with these covariances.
+
+    Its mean square is a quadratic in the ``arms`` a (n, 3), so that a whole surface takes no time.
+    """
     t_cross_r = np.array([C_tr[1, 2] - C_tr[2, 1], C_tr[2, 0] - C_tr[0, 2],
                           C_tr[0, 1] - C_tr[1, 0]])
-    squared = ((a @ (np.trace(C_rr) * np.eye(3) - C_rr) + 2.0 * t_cross_r) * a).sum(axis=1)
+    spread = np.trace(C_rr) * np.eye(3) - C_rr
+    squared = ((arms @ spread + 2.0 * t_cross_r) * arms).sum(axis=1)
     return np.asarray(np.sqrt(np.trace(C_tt) + squared))
 
 
@@ -129,6 +138,13 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     far, near = (_together(solution, neighbours[used, :max(1, neighbours.shape[1] // share)], w) /
                  max(variance, 1e-300) for share in (1, 3))
     return _confidence(solution, points, near, max(1.0, near, far))
+
+
+def assess_at(solution: Solution, points: Array, field: Field,
+              config: SolverConfig) -> Confidence | None:
+    """Return `assess` over the points nearest to each along the bone."""
+    around = nearest_neighbours(points, field, solution.T_bone_tracker, 3 * config.neighbours)
+    return assess(solution, points, around)
 
 
 def reassess(before: Confidence, solution: Solution, points: Array) -> Confidence | None:

@@ -54,6 +54,15 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
     return dense[cube] if dense.any() else np.ones(len(points), dtype=bool)
 
 
+def once_on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
+    """
+    Tell which points (n, 3) a registration uses: those `on_strokes`, the `first_of_each`.
+
+    The rest is strewn interference or a reading repeated.
+    """
+    return np.asarray(on_strokes(points, radius) & first_of_each(points))
+
+
 def _least_neighbours(neighbours: NDArray[np.intp]) -> int:
     """Return how many neighbours a point needs so that chance explains at most one in 100 such."""
     lone, paired = np.count_nonzero(neighbours == 0), np.count_nonzero(neighbours == 1)

@@ -17,8 +17,9 @@ from gsdf_registration.confidence import Confidence
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
 from gsdf_registration.guidance import advise, in_words, named_points, where_they_differ
-from gsdf_registration.result import Reason, Refusal
+from gsdf_registration.result import ON_BONE, Reason, Refusal
 from gsdf_registration.rigid import Array
+from gsdf_registration.words import length
 
 NEAR = 0.1  # m: the part of the bone that a wound's surgeon works on
 
@@ -69,7 +70,7 @@ def describe(choice: Choice, confidence: Confidence | None, dense: NDArray[np.bo
     """
     solution = choice.solution
     T_tracker_bone = rigid.inverse(solution.T_bone_tracker)
-    inlier = solution.weights > 0.5
+    inlier = solution.weights > ON_BONE
     residuals, weights = np.full(len(dense), np.nan), np.zeros(len(dense))
     residuals[dense], weights[dense] = choice.residuals, solution.weights
     known: dict[str, Any] = {
@@ -104,7 +105,7 @@ def objections(found: Finding, points: Array, field: Field, config: Config) -> I
     limits = config.limits
     known, choice, confidence, _ = found
     inliers, used = known['inliers'], known['used']
-    on_bone = points[choice.solution.weights > 0.5]
+    on_bone = points[choice.solution.weights > ON_BONE]
     if inliers < max(limits.min_inliers * used, limits.min_points):
         yield Refusal(Reason.TOO_FEW_INLIERS, f'only {inliers} of {used} points lie on the bone; '
                       'check that this is the bone and the probe is the one calibrated')
@@ -139,7 +140,7 @@ def objections(found: Finding, points: Array, field: Field, config: Config) -> I
             f'{length(error)} of error (RMS) must be expected {place.where}, '
             f'{length(place.limit)} is allowed; {known["weakest_direction"].sentence}; {touch}',
             touch)
-    rivals = [rival.T_bone_tracker for rival in choice.rivals if rival.gap < limits.min_gap]
+    rivals = choice.as_likely(limits.min_gap)
     if rivals:
         best = where_they_differ([choice.solution.T_bone_tracker, *rivals], field, touched)
         touch = (f'touch the bone {in_words(best, touched, named_points(config), field)}, '
@@ -203,9 +204,7 @@ def _near(surface: Array, touched: Array) -> NDArray[np.bool_]:
 
 def moved(T_before: Array, T_after: Array, field: Field) -> float:
     """Return how far the surface of the bone moved, m (RMS), from one T_tracker_bone to another."""
-    surface = field.surface_points.astype(np.float64)
-    apart = rigid.transform(T_after, surface) - rigid.transform(T_before, surface)
-    return rms(np.linalg.norm(apart, axis=1))
+    return rms(rigid.displacement(T_before, T_after, field.surface_points.astype(np.float64)))
 
 
 def rms(values: Array) -> float:
@@ -219,8 +218,3 @@ def summary(known: dict[str, Any]) -> str:
         f'registered on {known["inliers"]} of {known["used"]} points; expected error '
         f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone; '
         f'{known["weakest_direction"].sentence}')
-
-
-def length(metres: float) -> str:
-    """Return a length in the unit that suits it."""
-    return f'{metres:.3g} m' if metres >= 1.0 else f'{1e3 * metres:.3g} mm'

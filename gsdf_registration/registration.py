@@ -11,16 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsdf_registration import rigid
 from gsdf_registration.basins import choose, solve_all
-from gsdf_registration.confidence import assess
+from gsdf_registration.confidence import assess_at
 from gsdf_registration.config import Config, LimitsConfig
-from gsdf_registration.density import first_of_each, on_strokes
+from gsdf_registration.density import once_on_strokes
 from gsdf_registration.field import Field
-from gsdf_registration.judgement import Finding, describe, length, objections, summary
+from gsdf_registration.judgement import Finding, describe, objections, summary
 from gsdf_registration.landmarks import pose_from_landmarks
 from gsdf_registration.result import InputError, Reason, Refusal, RegistrationResult, as_numbers
 from gsdf_registration.rigid import Array
 from gsdf_registration.search import find_basins
-from gsdf_registration.solver import nearest_neighbours
+from gsdf_registration.words import length
 
 
 def register(points: ArrayLike,
@@ -66,7 +66,7 @@ def register(points: ArrayLike,
         check_points(points, field, config.limits)
         guess = first_guess(landmarks, T_tracker_bone)
         # Points on strokes, each once; the rest is strewn interference or a reading repeated
-        dense = on_strokes(points, config.search.radius) & first_of_each(points)
+        dense = once_on_strokes(points, config.search.radius)
         # Round the guess, if there is one; anywhere, if there is none or its result is doubtful
         for start in (None,) if guess is None else (guess, None):
             found = attempt(points, dense, start, field, config, cancelled, progress, history)
@@ -118,9 +118,7 @@ def attempt(points: Array,
     choice = choose(solve_all(used, field, starts, config, history, cancelled), used, field,
                     config.solver)
     # How good is it?
-    around = nearest_neighbours(used, field, choice.solution.T_bone_tracker,
-                                3 * config.solver.neighbours)
-    confidence = assess(choice.solution, used, around)
+    confidence = assess_at(choice.solution, used, field, config.solver)
     found = describe(choice, confidence, dense, field, config)
     found.known['timing_s'] = {'search': searched - started, 'solve': perf_counter() - searched}
     return found
@@ -135,7 +133,7 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'points must be an (n, 3) array, not of shape {points.shape}')
     # NaN, infinite, or a tracker's word for missing
-    bad = int((~(np.abs(points) < 1e6).all(axis=1)).sum())
+    bad = int((~(np.abs(points) < rigid.FARTHEST).all(axis=1)).sum())
     if bad:
         raise InputError(
             f'{bad} of {len(points)} points are not finite; drop them before registering')

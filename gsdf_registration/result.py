@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 
 from gsdf_registration.rigid import Array, inverse
 
+ON_BONE = 0.5       # a point of more weight lies on the bone
+
 
 class Reason(str, Enum):
     """Why a registration ended; everything but `CONVERGED` is a refusal."""

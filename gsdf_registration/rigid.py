@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+# m; trackers mark a missing value with a huge number as often as with NaN (NDI: -3.7e28)
+FARTHEST = 1e6
+
 
 def skew(v: ArrayLike) -> Array:
     """
@@ -153,6 +156,11 @@ def transform(T: ArrayLike, points: ArrayLike) -> Array:
     """
     T = np.asarray(T, dtype=np.float64)
     return np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3]
+
+
+def displacement(T_a: ArrayLike, T_b: ArrayLike, points: ArrayLike) -> Array:
+    """Return how far apart (n,) two motions lay each of ``points`` (n, 3)."""
+    return np.asarray(np.linalg.norm(transform(T_a, points) - transform(T_b, points), axis=1))
 
 
 def orthonormalized(T: ArrayLike) -> Array:

@@ -15,7 +15,7 @@ from gsdf_registration import rigid
 from gsdf_registration.basins import Choice, choose, solve_all
 from gsdf_registration.benchmark.cases import Case, bone, region_patch
 from gsdf_registration.benchmark.journal import Row
-from gsdf_registration.confidence import Confidence, assess
+from gsdf_registration.confidence import Confidence, assess_at
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
 from gsdf_registration.guidance import where_they_differ, where_to_touch
@@ -24,7 +24,6 @@ from gsdf_registration.rigid import Array
 from gsdf_registration.search import find_basins
 from gsdf_registration.simulation.patch import Patch, walk
 from gsdf_registration.simulation.probe import Hand, Tracker, measured, random_pose
-from gsdf_registration.solver import nearest_neighbours
 
 Known = tuple[Choice, Confidence | None]
 
@@ -97,7 +96,7 @@ def attempt(run: Collection, config: Config) -> Row:
             known = _solved(points, wound.field, [wound.guess, last], config)
         choice, confidence = known
         row['points'].append(len(points))
-        row['ambiguous'].append(bool(_rivals(choice, config)))
+        row['ambiguous'].append(bool(choice.as_likely(config.limits.min_gap)))
         for goal, where in wound.targets.items():
             off = wound.error(choice.solution.T_bone_tracker, where)
             row[f'true_{goal}_m'].append(rms(np.linalg.norm(off, axis=1)))
@@ -153,7 +152,8 @@ class _Wound:
         """
         if confidence is None:
             return None
-        targets, rivals = self.targets[WAYS[self.run.way]], _rivals(choice, config)
+        targets = self.targets[WAYS[self.run.way]]
+        rivals = choice.as_likely(config.limits.min_gap)
         if rivals and rms(confidence.predicted_tre(targets)) <= self.run.limit:
             poses = [choice.solution.T_bone_tracker, *rivals]
             return where_they_differ(poses, self.field, self.exposed, GAP)
@@ -182,14 +182,7 @@ def _solved(points: Array, field: Field, starts: Sequence[Array],
     basins = find_basins(points, field, config.search, starts[0])[:config.search.solutions]
     choice = choose(solve_all(points, field, [*starts, *basins], config), points, field,
                     config.solver)
-    around = nearest_neighbours(points, field, choice.solution.T_bone_tracker,
-                                3 * config.solver.neighbours)
-    return choice, assess(choice.solution, points, around)
-
-
-def _rivals(choice: Choice, config: Config) -> list[Array]:
-    """Return the poses, T_bone_tracker, that fit about as well."""
-    return [rival.T_bone_tracker for rival in choice.rivals if rival.gap < config.limits.min_gap]
+    return choice, assess_at(choice.solution, points, field, config.solver)
 
 
 @lru_cache(maxsize=64)

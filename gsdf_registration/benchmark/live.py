@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gsdf_registration.benchmark.cases import bone, region_patch
-from gsdf_registration.judgement import rms
-from gsdf_registration.rigid import Array, inverse, transform
+from gsdf_registration.judgement import moved
+from gsdf_registration.rigid import Array
 from gsdf_registration.simulation.interference import Interference
 from gsdf_registration.simulation.probe import Drag, Hand, Tracker, drag, random_pose
 
@@ -95,9 +95,7 @@ def simulated(path: str, region: str, rate: float, seconds: float, seed: int) ->
 
 def true_error(pose: Array, truth: Array, path: str) -> float:
     """Return the true TRE of a T_tracker_bone, RMS over the bone, m."""
-    surface = bone(path).surface_points.astype(np.float64)
-    off = transform(inverse(truth) @ pose, surface) - surface
-    return rms(np.linalg.norm(off, axis=1))
+    return moved(truth, pose, bone(path))
 
 
 def processor_seconds(process: int) -> float:

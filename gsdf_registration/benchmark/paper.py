@@ -33,7 +33,7 @@ from gsdf_registration.benchmark.scoring import (
 )
 from gsdf_registration.benchmark.starts import from_centroids, from_landmarks
 from gsdf_registration.config import Config
-from gsdf_registration.density import first_of_each, on_strokes
+from gsdf_registration.density import once_on_strokes
 from gsdf_registration.registration import register
 from gsdf_registration.rigid import Array, inverse, transform
 from gsdf_registration.solver import solve
@@ -149,7 +149,7 @@ def _ours(job: Job, problem: Problem) -> Answer:
 def _guided(job: Job, problem: Problem) -> Answer:
     """Return what a method answers that gets filtered points, and a start if it needs one."""
     points, search = problem.drag.positions, job.config.search
-    points = points[on_strokes(points, search.radius) & first_of_each(points)]
+    points = points[once_on_strokes(points, search.radius)]
     start = (from_landmarks(problem) if job.method.start == 'landmarks' else
              from_centroids(problem, points))
     if not job.method.peer:

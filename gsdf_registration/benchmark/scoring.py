@@ -74,8 +74,8 @@ def pose_errors(T_tracker_bone: Array, problem: Problem, bound: Confidence) -> P
     """
     found, true = rigid.inverse(T_tracker_bone), rigid.inverse(problem.drag.T_tracker_bone)
     motion = found @ problem.drag.T_tracker_bone    # of the bone frame
-    tre = _displacement(motion, problem.field.surface_points.astype(np.float64))
-    region = _displacement(motion, problem.patch.corners.mean(axis=1))
+    tre = rigid.displacement(motion, np.eye(4), problem.field.surface_points.astype(np.float64))
+    region = rigid.displacement(motion, np.eye(4), problem.patch.corners.mean(axis=1))
     on_bone = rigid.transform(found, problem.drag.positions[problem.drag.on_bone])
     e = np.concatenate([rigid.rotation_log(motion[:3, :3]),
                         rigid.transform(motion, bound.centre) - bound.centre])
@@ -164,8 +164,3 @@ def ideal_wrong(problem: Problem, bound: Confidence) -> float:
 def _tolerated(predicted_rms: float) -> float:
     """Return the RMS TRE over the bone, m, beyond which an answer is wrong."""
     return min(FAR, FURTHER + TIMES * predicted_rms)
-
-
-def _displacement(motion: Array, points: Array) -> Array:
-    """Return how far (n,) a rigid motion moves points (n, 3)."""
-    return np.asarray(np.linalg.norm(rigid.transform(motion, points) - points, axis=1))

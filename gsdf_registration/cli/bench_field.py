@@ -13,7 +13,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli.bench_solve import bones
+from gsdf_registration.cli.benches import add_bones_option, bones
 from gsdf_registration.cli.common import example
 
 if TYPE_CHECKING:
@@ -47,12 +47,7 @@ def add_parser(subparsers: Any) -> None:
         'libigl and Open3D at the same nodes; take the error against exact distances, memory, '
         'disk, loading.',
         **example('gsdf bench field --bones ~/bones'))
-    parser.add_argument(
-        '--bones',
-        metavar='DIR',
-        default=os.environ.get('GSDF_BONES_DIR'),
-        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, else '
-        'those that come along)')
+    add_bones_option(parser)
     parser.add_argument('--voxel', type=float, default=1.0, metavar='MM',
                         help='spacing of the samples near the surface, mm (default: 1)')
     parser.add_argument(

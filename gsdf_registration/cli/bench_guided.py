@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli.bench_solve import bones
-from gsdf_registration.cli.bench_trust import about
+from gsdf_registration.cli.benches import about, add_bones_option, bones
 from gsdf_registration.cli.common import example, read_config
 from gsdf_registration.result import InputError
 
@@ -33,9 +31,7 @@ def add_parser(subparsers: Any) -> None:
         'runs). Both ways begin with the same two strokes of 60 points, which count. Runs '
         'already in FILE are not made again.',
         **example('gsdf bench guided --bones ~/bones -o guided.tsv --plot guided.html'))
-    parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
-                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: '
-                        '$GSDF_BONES_DIR, else those that come along)')
+    add_bones_option(parser)
     parser.add_argument('--runs', type=int, default=120, metavar='N',
                         help='of each way, over all bones and regions (default: 120)')
     parser.add_argument('--seed', type=int, default=0, help='of the first runs (default: 0)')

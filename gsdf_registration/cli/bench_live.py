@@ -11,13 +11,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from gsdf_registration.cli.bench_paper import waiting
-from gsdf_registration.cli.common import example
+from gsdf_registration.cli.benches import SHIPPED
+from gsdf_registration.cli.common import busy, example
 from gsdf_registration.cli.demo import running
 from gsdf_registration.result import InputError
 
 STARTUP = 240.0     # s; the first start ever compiles the kernels and builds the field
-SHIPPED = 'package://gsdf_registration/bags/hip.ply'
 WIDTHS = (8, 8, 6, 9, 9, 7, 8, 7, 7, 7, 7, 9, 9, 8)
 
 
@@ -67,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     show(COLUMNS)
     for rate in rates:
         drag = simulated(case.bone, case.region, rate, args.seconds, args.seed)
-        with own_domain() as environment, waiting(f'{rate:g} points a second'), \
+        with own_domain() as environment, busy(f'{rate:g} points a second'), \
                 tempfile.TemporaryDirectory() as folder:
             os.environ.update(environment)
             with running(node_command(case.bone, folder), 'the node') as node, \

@@ -8,12 +8,11 @@ import os
 import platform
 import sys
 import tempfile
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli.bench_solve import bones
-from gsdf_registration.cli.common import example
+from gsdf_registration.cli.benches import about, add_bones_option, bones
+from gsdf_registration.cli.common import busy, example
 from gsdf_registration.result import InputError
 
 if TYPE_CHECKING:
@@ -56,9 +55,7 @@ def add_parser(subparsers: Any) -> None:
         'into environments of their own at the first run. Trials already in DIR are not run '
         'again.',
         **example('gsdf bench paper --bones ~/bones --output paper'))
-    parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
-                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: '
-                        '$GSDF_BONES_DIR, else those that come along)')
+    add_bones_option(parser)
     parser.add_argument('--trials', type=int, default=2, metavar='N',
                         help='seeds a case and scenario (default: 2)')
     parser.add_argument('--seed', type=int, default=SEED, metavar='N',
@@ -101,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
                     [method for method in methods if method.name not in missing], found,
                     scenarios, args.trials, args.seed)}
         rows = run_all(jobs, paper.attempt, output=output / 'trials.tsv',
-                       about=about(found, args.seed))
+                       about=about(found, args.seed, config))
     text = markdown(rows, missing, caption(found, args.trials))
     write_atomically(output / 'figures.tsv', tsv(rows))
     write_atomically(output / 'tables.md', text)
@@ -128,7 +125,7 @@ def environments(methods: Sequence[Method]) -> tuple[dict[str, Path], dict[str, 
     groups = {PEERS[m.peer].group.name: PEERS[m.peer].group for m in methods if m.peer}
     made = {}
     for name, group in groups.items():
-        with waiting(f'environment of the peers, {name}'):
+        with busy(f'environment of the peers, {name}'):
             made[name] = environment(group)
     pythons, missing = {}, {}
     for method in methods:
@@ -142,24 +139,6 @@ def environments(methods: Sequence[Method]) -> tuple[dict[str, Path], dict[str, 
         else:
             pythons[method.name] = there.python
     return pythons, missing
-
-
-def waiting(text: str) -> Any:
-    """Return a context that shows on a terminal that something takes its time."""
-    if not sys.stderr.isatty():
-        return nullcontext()
-    from rich.console import Console
-    return Console(stderr=True).status(text)
-
-
-def about(found: list[Case], seed: int) -> dict[str, Any]:
-    """Return all that a row depends on."""
-    from gsdf_registration import __version__
-    from gsdf_registration.benchmark.journal import source_hash
-    from gsdf_registration.cli.common import sha256_of
-    return {'version': __version__, 'sources': source_hash(), 'seed': seed,
-            'bones': {Path(path).name: sha256_of(path)
-                      for path in sorted({case.bone for case in found})}}
 
 
 def caption(found: list[Case], trials: int) -> str:

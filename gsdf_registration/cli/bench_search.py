@@ -8,7 +8,7 @@ import os
 from time import perf_counter
 from typing import Any
 
-from gsdf_registration.cli.bench_solve import bones
+from gsdf_registration.cli.benches import add_bones_option, bones
 from gsdf_registration.cli.common import example
 
 POINTS = 1000           # on the bone
@@ -24,12 +24,7 @@ def add_parser(subparsers: Any) -> None:
         'and region, bare and among 90 % uniform outliers, in any attitude; and the whole '
         'registration. Rows hold medians of problems solved once before.',
         **example('gsdf bench search --bones ~/bones'))
-    parser.add_argument(
-        '--bones',
-        metavar='DIR',
-        default=os.environ.get('GSDF_BONES_DIR'),
-        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, '
-        'else those that come along)')
+    add_bones_option(parser)
     parser.add_argument('--repeats', type=int, default=5, help='runs of each (default: 5)')
     parser.add_argument('--threads', type=int, default=0,
                         help='worker threads; 0: one a core (default: 0)')
@@ -54,9 +49,10 @@ def measure(case: Any, outliers: float, repeats: int, threads: int) -> None:
     """Print the row of one bone and region among a share of outliers."""
     import numpy as np
 
-    from gsdf_registration import register, rigid
+    from gsdf_registration import register
     from gsdf_registration.benchmark.cases import bone, region_patch
     from gsdf_registration.config import Config
+    from gsdf_registration.judgement import moved
     from gsdf_registration.simulation.interference import Interference
     from gsdf_registration.simulation.probe import Tracker, drag, random_pose
 
@@ -73,9 +69,7 @@ def measure(case: Any, outliers: float, repeats: int, threads: int) -> None:
     search, total = np.median(seconds[1:], axis=0)
     tre = '-'
     if result.T_tracker_bone is not None:
-        surface = field.surface_points.astype(np.float64)
-        apart = rigid.transform(result.T_tracker_bone, surface) - rigid.transform(T, surface)
-        tre = f'{1e3 * np.sqrt((apart**2).sum(axis=1).mean()):.2f}'
+        tre = f'{1e3 * moved(T, result.T_tracker_bone, field):.2f}'
     name, _, region = case.name.partition('/')
     print(f'{name:<20}{region:<18}{len(points):>8}{result.used:>12}{search:>10.2f}{total:>8.2f}'
           f'{tre:>12}', flush=True)

@@ -6,13 +6,12 @@ from __future__ import annotations
 import argparse
 import os
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli.aligners import open3d, ours, small_gicp, warm
+from gsdf_registration.cli.benches import add_bones_option, bones
 from gsdf_registration.cli.common import example
-from gsdf_registration.result import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from gsdf_registration.field import Field
     from gsdf_registration.rigid import Array
 
-SHIPPED = 'package://gsdf_registration/bags/hip.ply'
 EXPOSED = 0.04          # m, radius of the ball in which points are touched
 NOISE = 5e-4            # m, of a point, each axis
 LANDMARK_ERROR = 4e-3   # m
@@ -47,12 +45,7 @@ def add_parser(subparsers: Any) -> None:
         'beforehand. Warm: from the solution before, put 0.5 mm and 0.3 deg off, neighbours known. '
         'A floor is the time that the samples of as many passes take.',
         **example('gsdf bench solve --bones ~/bones'))
-    parser.add_argument(
-        '--bones',
-        metavar='DIR',
-        default=os.environ.get('GSDF_BONES_DIR'),
-        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: $GSDF_BONES_DIR, '
-        'else those that come along)')
+    add_bones_option(parser)
     parser.add_argument('--points', type=int, default=1000, help='touched points (default: 1000)')
     parser.add_argument('--solves',
                         type=int,
@@ -79,17 +72,6 @@ def run(args: argparse.Namespace) -> int:
     for file in bones(args.bones):
         measure(file.stem, load_model(str(file)), args.points, args.solves, args.seed)
     return 0
-
-
-def bones(folder: str | None) -> list[Path]:
-    """Return the meshes to measure on."""
-    from gsdf_registration.model import find_model
-    found = sorted(file
-                   for file in (Path(folder) if folder else find_model(SHIPPED).parent).iterdir()
-                   if file.suffix.lower() in ('.ply', '.stl', '.obj', '.off'))
-    if not found:
-        raise InputError(f'{folder} holds no mesh; give a folder of PLY, STL, OBJ or OFF files')
-    return found
 
 
 def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None:

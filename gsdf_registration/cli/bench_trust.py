@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli.bench_solve import bones
-from gsdf_registration.cli.common import example, read_config, sha256_of
+from gsdf_registration.cli.benches import about, add_bones_option, bones
+from gsdf_registration.cli.common import example, read_config
 from gsdf_registration.result import InputError
 
 if TYPE_CHECKING:
@@ -36,9 +35,7 @@ def add_parser(subparsers: Any) -> None:
         'regions, where 1.5 times the Cramer-Rao bound of the error is within '
         'limits.max_predicted_tre and limits.max_bone_tre.',
         **example('gsdf bench trust --bones ~/bones --trials 3000 -o trust.tsv'))
-    parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
-                        help='meshes (PLY, STL, OBJ, OFF; mm) to measure on (default: '
-                        '$GSDF_BONES_DIR, else those that come along)')
+    add_bones_option(parser)
     parser.add_argument('--regions', metavar='NAME,...', default='',
                         help='of every bone (default: by its name: hip, femur, tibia; else by '
                         'its shape)')
@@ -90,17 +87,6 @@ def scenarios(text: str) -> list[Scenario]:
                 f'scenario "{word}" is not known; say one of {", ".join(SCENARIOS)}')
     return [scenario for name, scenario in SCENARIOS.items()
             if any(fnmatchcase(name, word) for word in words)]
-
-
-def about(cases: list[Case], seed: int, config: Config) -> dict[str, Any]:
-    """Return all that the rows depend on."""
-    from gsdf_registration import __version__
-    from gsdf_registration.benchmark.journal import source_hash
-    return {
-        'version': __version__, 'sources': source_hash(), 'seed': seed, 'config': config.flat(),
-        'cases': [case.name for case in cases],
-        'bones': {Path(path).name: sha256_of(path) for path in sorted({c.bone for c in cases})}
-    }
 
 
 def named(name: str, cases: list[Case]) -> Trial:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli import common
-from gsdf_registration.result import InputError, Refusal
+from gsdf_registration.result import ON_BONE, InputError, Refusal
 
 if TYPE_CHECKING:
     from gsdf_registration.config import Config
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _praise(found: Survey) -> str:
-    inliers = int((found.weights > 0.5).sum())
+    inliers = int((found.weights > ON_BONE).sum())
     return (f'Accepted: {inliers} of {len(found.weights)} points lie on the bone; expected error '
             f'{1e3 * found.predicted_tre_m["rms"]:.1f} mm (RMS) over the bone')
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from gsdf_registration.cli.common import counts_by_cause
 from gsdf_registration.field import Field
 from gsdf_registration.result import RegistrationResult
-from gsdf_registration.rigid import Array, angle_between, transform
+from gsdf_registration.rigid import Array, angle_between, displacement
 
 
 def summary(result: RegistrationResult,
@@ -48,7 +48,7 @@ def true_error(result: RegistrationResult, field: Field, truth: Array) -> str:
     if T is None:
         return 'none, there is no pose'
     points = field.surface_points.astype(np.float64)
-    tre = 1e3 * np.linalg.norm(transform(T, points) - transform(truth, points), axis=1)
+    tre = 1e3 * displacement(T, truth, points)
     angle = np.degrees(angle_between(T[:3, :3], truth[:3, :3]))
     rms = np.sqrt(np.mean(tre**2))
     return (f'TRE over the bone {rms:.2f} mm RMS, {tre.max():.2f} mm at most; '

@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 
 from gsdf_registration import rigid
 from gsdf_registration.basins import Choice
-from gsdf_registration.confidence import assess
+from gsdf_registration.confidence import assess_at
 from gsdf_registration.config import Config
-from gsdf_registration.density import first_of_each, on_strokes
+from gsdf_registration.density import once_on_strokes
 from gsdf_registration.field import Field
 from gsdf_registration.guidance import Touch, advise
 from gsdf_registration.judgement import Finding, describe, objections, too_loose
 from gsdf_registration.live.warm import WarmPose
 from gsdf_registration.registration import attempt, check_points
-from gsdf_registration.result import Reason, Refusal
+from gsdf_registration.result import ON_BONE, Reason, Refusal
 from gsdf_registration.rigid import Array
 from gsdf_registration.session.collection import Points
 from gsdf_registration.session.strokes import StrokeReport, report
-from gsdf_registration.solver import Solution, nearest_neighbours
+from gsdf_registration.solver import Solution
 
 SEEN = 2    # times the points used that are looked at, or it would take ever longer
 Rows = NDArray[np.int64]
@@ -103,11 +103,11 @@ def survey(points: Points, field: Field, config: Config, before: Solution | None
         check_points(positions, field, config.limits)
     except Refusal as refusal:
         return Survey(points, objections=(refusal,))
-    rows = thinned(np.arange(len(positions)), SEEN * config.live.max_points)
+    rows = evenly(np.arange(len(positions)), SEEN * config.live.max_points)
     seen = positions[rows]
-    dense = np.flatnonzero(on_strokes(seen, config.search.radius) & first_of_each(seen))
+    dense = np.flatnonzero(once_on_strokes(seen, config.search.radius))
     count = len(dense) * len(positions) // len(rows)
-    chosen = thinned(dense, config.live.max_points)
+    chosen = evenly(dense, config.live.max_points)
     searched = count >= search_from
     if searched:
         found, against = _searched(seen[dense], field, config, guess, cancelled)
@@ -134,7 +134,7 @@ def survey(points: Points, field: Field, config: Config, before: Solution | None
                    strokes=tuple(report(points, residuals, weights)))
 
 
-def thinned(rows: Rows, most: int) -> Rows:
+def evenly(rows: Rows, most: int) -> Rows:
     """Return ``rows`` (n,), or ``most`` of them, spread evenly from the first to the last."""
     if len(rows) <= most:
         return rows
@@ -163,10 +163,8 @@ def _followed(used: Array, field: Field, config: Config,
               before: Solution) -> tuple[WarmPose, Finding, tuple[Refusal, ...]]:
     """Solve from a pose found before."""
     pose = WarmPose(used, field, before, config)
-    T_bone_tracker = pose.solution.T_bone_tracker
-    around = nearest_neighbours(used, field, T_bone_tracker, 3 * config.solver.neighbours)
-    pose.confidence = assess(pose.solution, used, around)
-    residuals = field.sample(rigid.transform(T_bone_tracker, used))[0]
+    pose.confidence = assess_at(pose.solution, used, field, config.solver)
+    residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, used))[0]
     found = describe(Choice(pose.solution, residuals, []), pose.confidence,
                      np.ones(len(used), dtype=bool), field, config)
     return pose, found, tuple(objections(found, used, field, config))
@@ -174,7 +172,7 @@ def _followed(used: Array, field: Field, config: Config,
 
 def _touches(pose: WarmPose, found: Finding, field: Field, config: Config) -> tuple[Touch, ...]:
     """Return where a touch would help most."""
-    on_bone = pose.points[pose.solution.weights > 0.5]
+    on_bone = pose.points[pose.solution.weights > ON_BONE]
     touched = rigid.transform(pose.solution.T_bone_tracker, on_bone)
     place, _ = too_loose(found, touched, field, config)
     if place is None or found.confidence is None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.timer import Timer
 
 from gsdf_registration.config import Config
 from gsdf_registration.node import transforms
@@ -49,7 +50,7 @@ class Inputs:
             on_pose: Any = self._on_pose    # of two arguments, which rclpy takes but does not say
             self._subscribed.append(node.create_subscription(
                 PoseStamped, config.reference.topic, on_pose, POINTS))
-        self._timer = node.create_timer(PERIOD, self._look)
+        self._timer: Timer | None = None
         back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-BACK),
                              on_clock_change=False)
         self._jumps = node.get_clock().create_jump_callback(back, post_callback=self._on_jump)
@@ -67,17 +68,21 @@ class Inputs:
         self._feed.configure(config, self._frames)
         # without either no point ever waits, and looking costs time, too
         waits = config.reference.topic or self._transforms is not None
-        self._node.destroy_timer(self._timer)
+        self._stop_looking()
         self._timer = self._node.create_timer(PERIOD if waits else SELDOM, self._look)
 
     def destroy(self) -> None:
         """Listen no more."""
         self._jumps.unregister()
-        self._node.destroy_timer(self._timer)
+        self._stop_looking()
         for subscription in self._subscribed:
             self._node.destroy_subscription(subscription)
         if self._transforms is not None:
             self._transforms.destroy()
+
+    def _stop_looking(self) -> None:
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
 
     def forget(self) -> None:
         """Take what comes next as the first of a new session."""

@@ -14,7 +14,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from gsdf_registration.config import Config, settings
 from gsdf_registration.field import Field
-from gsdf_registration.judgement import length, moved
+from gsdf_registration.judgement import moved
 from gsdf_registration.node.exchange import BoneExchange
 from gsdf_registration.node.inputs import Inputs
 from gsdf_registration.node.journal import NO_JOURNAL, keep_journal
@@ -29,6 +29,7 @@ from gsdf_registration.result import InputError
 from gsdf_registration.session import Session
 from gsdf_registration.session.status import Status
 from gsdf_registration.session.touches import Answer
+from gsdf_registration.words import length
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 

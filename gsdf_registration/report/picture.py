@@ -18,7 +18,7 @@ import numpy as np
 from gsdf_registration import colours
 from gsdf_registration.report.raycast import looking_at
 from gsdf_registration.report.view import Scene, View, paint
-from gsdf_registration.result import InputError
+from gsdf_registration.result import ON_BONE, InputError
 from gsdf_registration.rigid import Array
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def write_picture(path: str | os.PathLike[str], scene: Scene, verdict: str, good
 def _views(scene: Scene) -> dict[str, View]:
     """Return what was touched, the whole bone, and the bone from where all else is seen."""
     surface = scene.field.surface_points.astype(np.float64)
-    touched = scene.positions[scene.found.weights > 0.5]
+    touched = scene.positions[scene.found.weights > ON_BONE]
     if not len(touched):
         return {'the bone': _view(scene, surface, FRONT, WHOLE),
                 'from the other side': _view(scene, surface, -FRONT, WHOLE)}
@@ -144,7 +144,7 @@ def _draw_words(figure: Figure, scene: Scene) -> None:
         figure.text(0.02, 0.15, 'no pose: nobody knows where on the bone the points are',
                     fontsize=11, color='#444444')
         return
-    used = found.weights > 0.5
+    used = found.weights > ON_BONE
     _draw_scale(figure, 0.02, colours.RESIDUAL, scene.most_residual,
                 'points: how far off the surface, mm (NOT the accuracy)')
     _draw_scale(figure, 0.36, colours.ERROR, scene.most_error,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from gsdf_registration.result import RegistrationResult
+from gsdf_registration.result import ON_BONE, RegistrationResult
 
 
 def residual_figure(result: RegistrationResult) -> go.Figure:
@@ -14,7 +14,7 @@ def residual_figure(result: RegistrationResult) -> go.Figure:
     assert result.residuals_m is not None and result.weights is not None
     known = np.isfinite(result.residuals_m)
     residuals = 1e3 * result.residuals_m
-    inlier = known & (result.weights > 0.5)
+    inlier = known & (result.weights > ON_BONE)
     looks = {'inliers': (inlier, {'color': '#0969da', 'size': 4}),
              'outliers (weight 0.5 or less)':
              (known & ~inlier, {'color': '#6e7781', 'size': 5, 'symbol': 'circle-open'})}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gsdf_registration.confidence import predicted_tre
 from gsdf_registration.decimation import reduced
 from gsdf_registration.field import Field
-from gsdf_registration.result import RegistrationResult, WeakestDirection
+from gsdf_registration.result import ON_BONE, RegistrationResult, WeakestDirection
 from gsdf_registration.rigid import Array, transform
 
 BONE, GREY = '#d8d3c8', '#6e7781'
@@ -68,7 +68,7 @@ def _points(result: RegistrationResult, points: Array) -> list[go.Scatter3d]:
     """Return inliers coloured by residual, and hollow the points that do not bear the pose."""
     if result.residuals_m is None or result.weights is None:
         return [_dots(points, 'points', size=3, color='#0969da')]
-    inlier = np.asarray((result.weights > 0.5) & np.isfinite(result.residuals_m))
+    inlier = np.asarray((result.weights > ON_BONE) & np.isfinite(result.residuals_m))
     inside, residuals = _drawn(points, inlier, 1e3 * result.residuals_m)
     limit = float(np.percentile(np.abs(residuals), 98)) if len(residuals) else 1.0
     coloured = _dots(inside, 'inliers, by residual', size=3.5, color=residuals.astype(np.float32),

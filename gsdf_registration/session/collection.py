@@ -20,13 +20,11 @@ from numpy.typing import NDArray
 
 from gsdf_registration.config import GateConfig
 from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
+from gsdf_registration.rigid import FARTHEST, Array
 from gsdf_registration.session.tip_stream import AGREEING, Position, Rejection, TipStream
 
 __all__ = ['AGREEING', 'FIRST_ROOM', 'Collection', 'Points', 'Rejection', 'Stroke']
 
-# m; trackers mark a missing value with a huge number as often as with NaN (NDI: -3.7e28)
-FARTHEST = 1e6
 FIRST_ROOM = 1024   # points
 
 

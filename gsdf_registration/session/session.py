@@ -23,8 +23,9 @@ from gsdf_registration.session.events import Listener
 from gsdf_registration.session.holdings import Holdings
 from gsdf_registration.session.record import SessionRecord
 from gsdf_registration.session.standing_pose import StandingPose
-from gsdf_registration.session.status import Status, counted, held, pose_stands, status_of
+from gsdf_registration.session.status import Status, held, pose_stands, status_of
 from gsdf_registration.session.touches import Answer, CapturedLandmark
+from gsdf_registration.words import counted
 
 __all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
 

@@ -11,6 +11,7 @@ from gsdf_registration.session.collection import Collection, Rejection
 from gsdf_registration.session.holdings import Holdings
 from gsdf_registration.session.strokes import StrokeReport
 from gsdf_registration.session.verification import VerificationSummary, summary
+from gsdf_registration.words import counted
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,6 @@ _ADVICE = {
     Rejection.TOO_FAST: 'most points jump: is the unit of the points right, is there interference?',
     Rejection.FULL: 'no more points can be held (collect.max_points); register, undo or clear',
 }
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: 1 point, 2 points."""
-    return f'{number} {noun}{"" if number == 1 else "s"}'
 
 
 def held(holds: Holdings) -> str:

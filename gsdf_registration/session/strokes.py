@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gsdf_registration.result import ON_BONE
 from gsdf_registration.rigid import Array
 from gsdf_registration.session.collection import Points
+from gsdf_registration.words import counted
 
-ON_BONE = 0.5       # a point of more weight lies on the bone
 # a stroke is interference if no larger share of it lies on the bone: where it is split, a few
 # points of the one before or after are in it
 INTERFERENCE = 0.2
@@ -32,8 +33,8 @@ class StrokeReport:
     def sentence(self) -> str:
         """Return the report in plain words."""
         on_bone = round(self.share_on_bone * self.points)
-        words = f'stroke {self.number}: {self.points} point{"" if self.points == 1 else "s"}, '
-        words += f'{on_bone or "none"} on the bone'
+        words = (f'stroke {self.number}: {counted(self.points, "point")}, '
+                 f'{on_bone or "none"} on the bone')
         if self.rms_m is not None:
             words += f', {1e3 * self.rms_m:.2f} mm RMS'
         return words + (': interference; undo it or leave it' if self.interference else '')

@@ -16,6 +16,7 @@ import numpy as np
 from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array, transform
 from gsdf_registration.session.tip import Rest
+from gsdf_registration.words import counted
 
 SAME_PLACE = 0.005      # m; touched nearer to an earlier place than this, that one is meant
 
@@ -49,7 +50,7 @@ class VerificationSummary:
     @property
     def sentence(self) -> str:
         """Return the summary in plain words."""
-        words = (f'{self.points} verification point{"" if self.points == 1 else "s"}: worst '
+        words = (f'{counted(self.points, "verification point")}: worst '
                  f'{1e3 * self.worst_m:.1f} mm, {1e3 * self.rms_m:.1f} mm RMS')
         if self.moved_m is not None:
             words += f', checkpoints moved by up to {1e3 * self.moved_m:.1f} mm'

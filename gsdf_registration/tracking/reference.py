@@ -14,6 +14,7 @@ from enum import Enum
 import numpy as np
 
 from gsdf_registration.rigid import (
+    FARTHEST,
     Array,
     from_rt,
     is_rigid,
@@ -24,7 +25,6 @@ from gsdf_registration.tracking.clock import BACK, Stream
 
 KEPT = 10.0         # s of poses remembered, as tf2 does
 MOST = 20_000       # of them; bounds the memory whatever the stamps say
-FARTHEST = 1e6      # m; trackers mark a missing pose with huge numbers as often as with NaN
 
 
 class Lack(Enum):

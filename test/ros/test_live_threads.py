@@ -158,13 +158,18 @@ class Endless:
             self._node.changed.notify_all()
 
 
-def test_it_stops_in_the_middle_of_a_search(node: Node, session: Session, live: Live,
-                                            monkeypatch: pytest.MonkeyPatch) -> None:
-    endless = Endless(node)
+@pytest.fixture
+def endless(node: Node, session: Session, live: Live, monkeypatch: pytest.MonkeyPatch) -> Endless:
+    """Return a search of 100 points that has begun and ends only when it is given up."""
+    search = Endless(node)
     fill(session, 100)
-    monkeypatch.setattr('gsdf_registration.live.live.survey', endless)
+    monkeypatch.setattr('gsdf_registration.live.live.survey', search)
     live.wake()
-    node.await_that(lambda: 100 in endless.begun)
+    node.await_that(lambda: 100 in search.begun)
+    return search
+
+
+def test_it_stops_in_the_middle_of_a_search(node: Node, live: Live, endless: Endless) -> None:
     live.stop()
     node.await_that(lambda: 100 in endless.ended)
     assert live.status == LiveStatus()
@@ -172,12 +177,7 @@ def test_it_stops_in_the_middle_of_a_search(node: Node, session: Session, live: 
 
 
 def test_a_search_of_points_that_are_dropped_is_given_up(node: Node, session: Session, live: Live,
-                                                         monkeypatch: pytest.MonkeyPatch) -> None:
-    endless = Endless(node)
-    fill(session, 100)
-    monkeypatch.setattr('gsdf_registration.live.live.survey', endless)
-    live.wake()
-    node.await_that(lambda: 100 in endless.begun)
+                                                         endless: Endless) -> None:
     assert session.undo().success
     live.wake()
     node.await_that(lambda: 99 in endless.begun)

@@ -76,16 +76,21 @@ def test_a_killed_node_goes_on_where_it_was(start_node: StartNode, resuming: dic
     assert damage == '' and len(session['points']) == int(kept)     # nothing lost, nothing twice
 
 
+def send_forty(client: Client) -> str:
+    """Send 40 points to a node that starts; return how many it has kept."""
+    client.await_state('active')
+    tracker = Tracker(client)
+    tracker.await_listener()
+    tracker.send(tracker.positions[:40], tracker.steps[:40])
+    return client.status(received='40')['kept']
+
+
 def test_what_was_cleared_is_not_resumed_and_not_lost(start_node: StartNode,
                                                       resuming: dict[str, Any],
                                                       tmp_path: Path) -> None:
     node = start_node('cleared', **resuming)
     with Client(node) as client:
-        client.await_state('active')
-        tracker = Tracker(client)
-        tracker.await_listener()
-        tracker.send(tracker.positions[:40], tracker.steps[:40])
-        kept = client.status(received='40')['kept']
+        kept = send_forty(client)
         assert client.ask('clear').success
     kill(node)
     journal = journal_path(tmp_path / 'session.json')
@@ -101,11 +106,7 @@ def test_a_journal_of_another_bone_is_kept_aside(start_node: StartNode, resuming
                                                  tmp_path: Path) -> None:
     node = start_node('hip', **resuming)
     with Client(node) as client:
-        client.await_state('active')
-        tracker = Tracker(client)
-        tracker.await_listener()
-        tracker.send(tracker.positions[:40], tracker.steps[:40])
-        kept = client.status(received='40')['kept']
+        kept = send_forty(client)
     kill(node)
     other = start_node('femur', **resuming | {'model.path': BAG.parent / 'femur.ply'})
     with Client(other) as client:
