@@ -116,11 +116,12 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     """
     Return the confidence of a solution, or None if its points do not hold the pose.
 
-    The covariance of an M-estimate (Huber 1981, section 6.3), tau sigma^2 H^-1 (sum w J J^T) H^-1
+    The covariance of an M-estimate (Huber 1981, section 6.3), tau sigma^2 H^-1 (sum w^2 J J^T) H^-1
     with H = sum psi' J J^T, psi = w e; for plain least squares the Cramer-Rao bound sigma^2 (J^T
-    J)^-1.  tau >= 1 is how much more the residuals of neighbours vary together than white noise
-    would, over the stretch where they do so most: the error of a model is the same over a stretch,
-    and a hundred points there tell it no better than one.
+    J)^-1.  Each row of J and its residual are divided by the relative noise along its normal.  tau
+    >= 1 is how much more the residuals of neighbours vary together than white noise would, over the
+    stretch where they do so most: the error of a model is the same over a stretch, and a hundred
+    points there tell it no better than one.
 
     Parameters
     ----------
@@ -161,17 +162,18 @@ def _confidence(solution: Solution, points: Array, pattern: float,
                 inflation: float) -> Confidence | None:
     """Return the confidence of a solution, the covariance of white noise made larger."""
     used = solution.weights > 0.0
-    J, w, e = solution.jacobian[used], solution.weights[used], solution.residuals[used]
+    w, precision = solution.weights[used], solution.precision[used]
     if w.sum() < 6.0:
         return None
-    H = (J.T * np.clip(solution.curvature[used], 0.0, None)) @ J
-    scale = np.sqrt(np.diag(H))
-    if not np.all(scale > 0.0):
+    variance = float((w * solution.residuals[used]**2).sum() / w.sum())
+    J, e = precision[:, None] * solution.jacobian[used], precision * solution.residuals[used]
+    H = (J.T * solution.curvature[used]) @ J
+    if not np.all(np.diag(H) > 0.0):
         return None
+    scale = np.sqrt(np.diag(H))
     held = np.linalg.eigvalsh(H / np.outer(scale, scale))
     if held[0] < 1e-10 * held[-1]:
         return None
-    variance = float((w * e**2).sum() / w.sum())
     psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
     C = inflation * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse

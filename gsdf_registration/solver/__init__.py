@@ -15,6 +15,7 @@ from gsdf_registration.result import Iteration
 from gsdf_registration.rigid import Array
 from gsdf_registration.solver import gauss_newton
 from gsdf_registration.solver.centring import about_centroid, pose_about
+from gsdf_registration.solver.last_step import last_step
 from gsdf_registration.solver.mixture import expectation_maximization
 from gsdf_registration.solver.neighbourhood import Neighbourhood, nearest_neighbours
 from gsdf_registration.solver.paper import algorithm_1
@@ -47,12 +48,16 @@ class Solution:
     Where a solver ended, and why.
 
     T_bone_tracker : (4, 4) float, metres
+    T_settled : (4, 4) float, metres, where the iterations ended, before the last step of the
+        mixture; to go on from
     weights : (n,) float in [0, 1], how much each point bears
-    residuals : (n,) float, metres, signed distance of each point at the pose; NaN where it was
-        discarded before
+    residuals : (n,) float, metres, signed distance of each point at the pose, less what noise makes
+        of it on average; NaN where it was discarded before
+    precision : (n,) float, the mean noise over that along the normal of each point
     jacobian : (n, 6) float, d residual / d [rotation about the centroid of the points,
         translation], bone axes
-    curvature : (n,) float, d(w e)/de, less than the weight where a point is about to be given up
+    curvature : (n,) float, d(w e)/de, less than the weight, or negative, where a point is about to
+        be given up
     exact : whether most points fit as well as white noise lets them and hardly any is inside the
         bone
     score : float, log-likelihood (mixture) or sum of the weights (paper)
@@ -64,8 +69,10 @@ class Solution:
     """
 
     T_bone_tracker: Array
+    T_settled: Array
     weights: Array
     residuals: Array
+    precision: Array
     jacobian: Array
     curvature: Array
     exact: bool
@@ -131,16 +138,16 @@ def refine(points: Array,
     ----------
     points : (n, 3) float64, metres, tracker frame; more or fewer than before
     field : of the bone
-    previous : of `solve` or `refine`; off by no more than some of its scatter
+    previous : of `solve` or `refine`; its ``T_settled`` off by no more than some of its scatter
     config : settings of the method that it was found by
     neighbours : (n, k) int of the points, if known already
 
     """
     if previous.estimates is None:
-        return _paper(points, field, previous.T_bone_tracker, config, False)
+        return _paper(points, field, previous.T_settled, config, False)
     if neighbours is None:
-        neighbours = nearest_neighbours(points, field, previous.T_bone_tracker, config.neighbours)
-    return _mixture(points, neighbours, field, previous.T_bone_tracker, config, False,
+        neighbours = nearest_neighbours(points, field, previous.T_settled, config.neighbours)
+    return _mixture(points, neighbours, field, previous.T_settled, config, False,
                     previous.estimates, previous.exact, True)
 
 
@@ -155,13 +162,17 @@ def _mixture(points: Array,
              strict: bool) -> Solution:
     """Return the solution of `expectation_maximization`."""
     centred, centre, R, t = _about_centroid(points, T_bone_tracker)
-    weight, e, J = np.zeros(len(points)), np.zeros(len(points)), np.zeros((len(points), 6))
+    weight, curvature, e = np.zeros((3, len(points)))
+    J = np.zeros((len(points), 6))
     steps, found = gauss_newton.empty_history(config.max_iterations), np.array(estimates)
     ended, rounds, likelihood, fits = expectation_maximization(
-        field.arrays, centred, R, t, neighbours, weight, e, J, steps, found, strict, exact, COOLING,
-        config.reach, config.tolerance)
-    return _solution(centre, R, t, weight, e, J, weight, fits, likelihood, ended, steps[:rounds],
-                     history, Estimates(*found.tolist()))
+        field.arrays, centred, R, t, neighbours, weight, curvature, e, J, steps, found, strict,
+        exact, COOLING, config.reach, config.tolerance)
+    settled, precision = _pose(centre, R, t), np.ones(len(points))
+    if ended != gauss_newton.SINGULAR:
+        last_step(field.arrays, centred, R, t, weight, found[0], e, J, precision)
+    return _solution(_pose(centre, R, t), settled, weight, e, precision, J, curvature, fits,
+                     likelihood, ended, steps[:rounds], history, Estimates(*found.tolist()))
 
 
 def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
@@ -177,8 +188,9 @@ def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverCon
     e[~keep] = np.nan
     # d(w e)/de of the Cauchy weight
     curvature = np.where(keep, weight * (2.0 * weight - 1.0), 0.0)
-    return _solution(centre, R, t, weight, e, J, curvature, False, float(weight.sum()), ended,
-                     steps[:rounds], history)
+    T = _pose(centre, R, t)
+    return _solution(T, T, weight, e, np.ones(len(points)), J, curvature, False,
+                     float(weight.sum()), ended, steps[:rounds], history)
 
 
 def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array, Array]:
@@ -188,14 +200,19 @@ def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array,
     return centred, centre, R, t
 
 
-def _solution(centre: Array, R: Array, t: Array, weight: Array, e: Array, J: Array,
-              curvature: Array, exact: bool, score: float, ended: int, steps: Array,
-              history: bool, estimates: Estimates | None = None) -> Solution:
+def _pose(centre: Array, R: Array, t: Array) -> Array:
+    """Return the pose (4, 4) of the points from that of their centre."""
     T = np.empty((4, 4))
     pose_about(centre, R, t, T)
+    return T
+
+
+def _solution(T: Array, settled: Array, weight: Array, e: Array, precision: Array, J: Array,
+              curvature: Array, exact: bool, score: float, ended: int, steps: Array,
+              history: bool, estimates: Estimates | None = None) -> Solution:
     return Solution(
-        T, weight, e, J, curvature, exact, score, ended == gauss_newton.SETTLED,
-        gauss_newton.TERMINATION[ended], len(steps), estimates,
+        T, settled, weight, e, precision, J, curvature, exact, score,
+        ended == gauss_newton.SETTLED, gauss_newton.TERMINATION[ended], len(steps), estimates,
         tuple(
             Iteration(cost, turn, shift, int(used))
             for cost, turn, shift, used in steps.tolist()) if history else ())

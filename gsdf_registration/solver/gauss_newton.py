@@ -34,14 +34,14 @@ def linearize(field, points, R, t, keep, e, J):
         which[n] = k
         n += keep[k]
         if n == BATCH or k + 1 == len(points):
-            _turn(points, which, n, R, arm)
+            turn_by(points, which, n, R, arm)
             sample_batch(field, arm, t, n, value)
-            _write(which, n, arm, value, e, J)
+            write_rows(which, n, arm, value, e, J)
             n = 0
 
 
 @kernel
-def _turn(points, which, n, R, arm):
+def turn_by(points, which, n, R, arm):
     """Fill ``arm`` = R p with some of the points."""
     for k in range(n):
         x, y, z = points[which[k], 0], points[which[k], 1], points[which[k], 2]
@@ -51,7 +51,7 @@ def _turn(points, which, n, R, arm):
 
 
 @kernel
-def _write(which, n, arm, value, e, J):
+def write_rows(which, n, arm, value, e, J):
     """Write what was sampled to the rows of ``e`` and ``J`` that it belongs to."""
     for k in range(n):
         x, y, z = arm[0, k], arm[1, k], arm[2, k]

@@ -38,8 +38,8 @@ ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
 @kernel
-def expectation_maximization(field, points, R, t, neighbours, weight, e, J, history, estimates,
-                             strict, exact, cooling, reach, tolerance):
+def expectation_maximization(field, points, R, t, neighbours, weight, curvature, e, J, history,
+                             estimates, strict, exact, cooling, reach, tolerance):
     """
     Run EM with one Gauss-Newton step a round, in place on ``R`` (3, 3), ``t`` (3,).
 
@@ -55,7 +55,8 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
     tolerance : a step no longer than this is not taken any more
 
     Returns (termination, iterations, log-likelihood, whether most points fit exactly); ``weight``
-    is the probability that a point is on the bone.
+    is the probability that a point is on the bone, ``curvature`` what it adds to what is known of
+    the pose.
     """
     n, K = neighbours.shape
     keep = np.ones(n, dtype=np.bool_)
@@ -104,12 +105,26 @@ def expectation_maximization(field, points, R, t, neighbours, weight, e, J, hist
         dx *= shrink
         update(R, t, dx)
     estimates[0], estimates[1], estimates[2] = noise, scatter, share
+    _observe(mean, weight, scatter, curvature)
     # Where most points fit exactly, no model error need be allowed for: with it, a pose half on
     # soft tissue could explain nearly everything
     white = noise / math.sqrt(K)
     fits = _fits_exactly(mean, white)
     return (SETTLED if settled else EXHAUSTED, iteration + 1,
             _log_likelihood(mean, K, share, white if fits else scatter, reach), fits)
+
+
+@kernel
+def _observe(mean, weight, scatter, curvature):
+    """
+    Fill ``curvature`` with what each point adds to the observed information (Louis 1982).
+
+    What is known less what would be if it were certain which points are on the bone: where that
+    hangs on the pose itself, as on an arc that leaves the bone, a point takes away from it.
+    """
+    for k in range(len(mean)):
+        m = mean[k] / scatter
+        curvature[k] = weight[k] * (1.0 - (1.0 - weight[k]) * m * m)
 
 
 @kernel
