@@ -3,13 +3,15 @@
 What colours mean, the same in every picture; told apart by the colour-blind too.
 
 Points run from blue (on the surface) to red, the bone from its own colour (error small) to purple,
-what to touch next is green; all three differ in lightness as well as in hue.
+what to touch next is green; all three differ in lightness as well as in hue. The scales end where
+a registration would be refused for it, or at twice that.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from gsdf_registration.config import LimitsConfig
 from gsdf_registration.result import ON_BONE
 from gsdf_registration.rigid import Array
 
@@ -31,7 +33,22 @@ def on_scale(values: Array, scale: tuple[str, ...], limit: float) -> Array:
                      for channel in np.array([rgb(colour) for colour in scale]).T], axis=-1)
 
 
-def residual_colours(residuals: Array, weights: Array, limit: float) -> Array:
+def most_residual(limits: LimitsConfig) -> float:
+    """Return where the scale of the residuals ends, m."""
+    return limits.max_sigma
+
+
+def most_error(limits: LimitsConfig) -> float:
+    """Return where the scale of the error to expect ends, m."""
+    return 2.0 * limits.max_predicted_tre
+
+
+def error_colours(errors: Array, limits: LimitsConfig) -> Array:
+    """Return the colours (..., 3) of the bone where so much error is to be expected, m (...)."""
+    return on_scale(errors, ERROR, most_error(limits))
+
+
+def residual_colours(residuals: Array, weights: Array, limits: LimitsConfig) -> Array:
     """
     Return the colours (n, 3) of points: by how far they are off the surface, grey if not used.
 
@@ -39,9 +56,10 @@ def residual_colours(residuals: Array, weights: Array, limit: float) -> Array:
     ----------
     residuals : (n,) float, m, of either sign; NaN where unknown
     weights : (n,) float, in [0, 1]; a point of 0.5 or less does not bear the pose
-    limit : float, m, where the scale ends
+    limits : LimitsConfig
 
     """
     used = np.isfinite(residuals) & (weights > ON_BONE)
     known = np.where(used, np.abs(residuals), 0.0)
-    return np.where(used[:, None], on_scale(known, RESIDUAL, limit), rgb(UNUSED))
+    return np.where(used[:, None], on_scale(known, RESIDUAL, most_residual(limits)),
+                    rgb(UNUSED))

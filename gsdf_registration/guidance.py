@@ -41,23 +41,31 @@ UPRIGHT = 0.4       # sine of the angle at which the bone's middle is no more as
 @dataclass(frozen=True)
 class Touch:
     """
-    A patch of bone worth touching.
+    A patch of bone worth touching, because it would hold the pose, or tell it from another.
 
     position, normal : (3,) float, m, bone frame
-    predicted_tre : float, m, RMS at the targets once a short stroke was drawn over it
+    predicted_tre : float, m, RMS at the targets once a short stroke was drawn over it; None: it
+        tells which of several poses is right
     present_tre : float, m, RMS at the targets now
     """
 
     position: Array
     normal: Array
-    predicted_tre: float
-    present_tre: float
+    predicted_tre: float | None = None
+    present_tre: float | None = None
 
     @property
     def promise(self) -> str:
         """What touching there gains, in words."""
+        if self.predicted_tre is None or self.present_tre is None:
+            return 'it decides which of the poses is right'
         return (f'the expected error falls from {1e3 * self.present_tre:.1f} to '
                 f'{1e3 * self.predicted_tre:.1f} mm')
+
+    @property
+    def label(self) -> str:
+        """The same in a word, to stand beside the place."""
+        return 'decides' if self.predicted_tre is None else f'{1e3 * self.predicted_tre:.1f} mm'
 
 
 class _Patches(NamedTuple):
@@ -130,9 +138,9 @@ def where_to_touch(confidence: Confidence, field: Field, reachable: Array, targe
 
 
 def where_they_differ(poses: Sequence[Array], field: Field, reachable: Array,
-                      reach: float = REACH) -> Array:
+                      reach: float = REACH) -> Touch:
     """
-    Return the place (3,), m, bone frame, whose touch best tells the first pose from all others.
+    Return the place whose touch best tells the first pose from all others.
 
     Parameters
     ----------
@@ -145,12 +153,14 @@ def where_they_differ(poses: Sequence[Array], field: Field, reachable: Array,
     patches = _patches(field)
     T_tracker_bone = rigid.inverse(poses[0])
     for within in (reach, FARTHER):
-        places = patches.centres[_within(patches, field, reachable, within)]
+        near = _within(patches, field, reachable, within)
+        places = patches.centres[near]
         off = np.min([np.abs(field.sample(rigid.transform(T @ T_tracker_bone, places))[0])
                       for T in poses[1:]], axis=0)
         if off.max(initial=0.0) > TELLING:
             break
-    return np.asarray(places[np.argmax(off)])
+    best = near[np.argmax(off)]
+    return Touch(patches.centres[best], patches.normals[best])
 
 
 @lru_cache(maxsize=2)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,10 +16,10 @@ from gsdf_registration.basins import Choice
 from gsdf_registration.confidence import Confidence
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
-from gsdf_registration.guidance import advise, in_words, named_points, where_they_differ
+from gsdf_registration.guidance import Touch, advise, in_words, named_points, where_they_differ
 from gsdf_registration.result import ON_BONE, Reason, Refusal
 from gsdf_registration.rigid import Array
-from gsdf_registration.words import length
+from gsdf_registration.words import counted, length
 
 NEAR = 0.1  # m: the part of the bone that a wound's surgeon works on
 
@@ -106,9 +106,14 @@ def objections(found: Finding, points: Array, field: Field, config: Config) -> I
     known, choice, confidence, _ = found
     inliers, used = known['inliers'], known['used']
     on_bone = points[choice.solution.weights > ON_BONE]
-    if inliers < max(limits.min_inliers * used, limits.min_points):
-        yield Refusal(Reason.TOO_FEW_INLIERS, f'only {inliers} of {used} points lie on the bone; '
+    if inliers < limits.min_inliers * used:
+        yield Refusal(Reason.TOO_FEW_INLIERS, f'the bone fits only {inliers} of {used} points; '
                       'check that this is the bone and the probe is the one calibrated')
+    if inliers < limits.min_points:
+        yield Refusal(
+            Reason.TOO_FEW_POINTS,
+            f'{counted(inliers, "point")} on the bone, {limits.min_points} are needed; '
+            'go on dragging the probe over the bone')
     if confidence is None or not inliers:
         yield Refusal(Reason.UNDER_CONSTRAINED,
                       'the points do not hold the pose; touch other sides of the bone',
@@ -132,32 +137,31 @@ def objections(found: Finding, points: Array, field: Field, config: Config) -> I
             'than another bone would; check that the model is of this patient, this side '
             'and this unit')
     touched = rigid.transform(choice.solution.T_bone_tracker, on_bone)
-    place, error = too_loose(found, touched, field, config)
-    if place is not None:
-        touch = _best_touch(confidence, field, touched, place.targets, config)
-        yield Refusal(
-            Reason.UNDER_CONSTRAINED,
-            f'{length(error)} of error (RMS) must be expected {place.where}, '
-            f'{length(place.limit)} is allowed; {known["weakest_direction"].sentence}; {touch}',
-            touch)
     rivals = choice.as_likely(limits.min_gap)
     if rivals:
-        best = where_they_differ([choice.solution.T_bone_tracker, *rivals], field, touched)
-        touch = (f'touch the bone {in_words(best, touched, named_points(config), field)}, '
-                 'where they differ most')
+        best = [where_they_differ([choice.solution.T_bone_tracker, *rivals], field, touched)]
+        touch = f'{_in_words(best, touched, field, config)}, where they differ most'
         yield Refusal(
             Reason.AMBIGUOUS,
-            f'what was touched fits {1 + len(rivals)} poses about equally well; {touch}', touch)
+            f'what was touched fits {1 + len(rivals)} poses about equally well; {touch}', touch,
+            best)
     if not choice.solution.settled:
         yield Refusal(
             Reason.NOT_CONVERGED, f'no pose was settled on: {choice.solution.termination}; '
             'touch more of the bone or start from landmarks')
+    place, error = too_loose(found, touched, field, config)
+    if place is not None:
+        best = advise(confidence, field, touched, place.targets, config)
+        touch = _in_words(best, touched, field, config)
+        yield Refusal(
+            Reason.UNDER_CONSTRAINED,
+            f'{length(error)} of error (RMS) must be expected {place.where}, '
+            f'{length(place.limit)} is allowed; {known["weakest_direction"].sentence}; {touch}',
+            touch, best)
 
 
-def _best_touch(confidence: Confidence, field: Field, touched: Array, targets: Array,
-                config: Config) -> str:
-    """Return where a touch would help most."""
-    best = advise(confidence, field, touched, targets, config, 1)
+def _in_words(best: Sequence[Touch], touched: Array, field: Field, config: Config) -> str:
+    """Say where a touch would help most: at the first of the ``best``."""
     if not best:
         return 'touch other sides of the bone'
     return f'touch the bone {in_words(best[0].position, touched, named_points(config), field)}'

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gsdf_registration.rigid import Array, inverse
+
+if TYPE_CHECKING:
+    from gsdf_registration.guidance import Touch
 
 ON_BONE = 0.5       # a point of more weight lies on the bone
 
@@ -43,13 +47,16 @@ class Refusal(Exception):
     line turn it into their own form of "no".
 
     ``touch``: where a touch would help, as in "touch the bone near X"; empty if none would.
+    ``touches``: that place and others on the bone, best first.
     """
 
-    def __init__(self, reason: Reason, message: str, touch: str = '') -> None:
+    def __init__(self, reason: Reason, message: str, touch: str = '',
+                 touches: Sequence[Touch] = ()) -> None:
         super().__init__(message)
         self.reason = reason
         self.message = message
         self.touch = touch
+        self.touches = tuple(touches)
 
 
 class InputError(Refusal):

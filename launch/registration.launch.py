@@ -26,17 +26,17 @@ def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         LaunchConfiguration(name).perform(context)
         for name in ('model', 'config', 'bag', 'log_level'))
 
-    # model:= wins over model.path in the settings file only when it is given
+    # model:= wins over model.path in the settings file only when it is given; and, as the namespace
+    # is named below, also over a section of that file which is for this node alone
     given = [{'model.path': ParameterValue(model, value_type=str)}] if model else []
     # the node brings itself to active (parameter autostart)
     node = Node(package='gsdf_registration', executable='registration_node', name='registration',
-                parameters=[config, *given],
+                namespace='', parameters=[config, *given],
                 ros_arguments=['--log-level', f'registration:={log_level}'], output='screen')
     # the node keeps no points before it is active, and its first start ever compiles for a while
     wait = 'until ros2 lifecycle get /registration 2>&1 | grep --quiet ^active; do sleep 1; done'
-    player = ExecuteProcess(cmd=[f'{wait}; exec ros2 bag play {quote(bag)}'],
-                            shell=True,
-                            output='screen')
+    player = ExecuteProcess(cmd=[f'{wait}; exec ros2 bag play {quote(bag)}'], shell=True,
+                            name='player', output='screen')
     return [node, player] if bag else [node]
 
 

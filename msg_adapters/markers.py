@@ -21,7 +21,6 @@ MOST_POINTS = 4000      # more would be one blot
 MOST_PATCHES = 5        # numbered markers that a message speaks of
 POINT = 0.0025          # m, diameter of a touched point
 DOT = 0.002             # m, of a point of a bone that came as a point cloud
-PATCH = 0.016           # m, diameter of a patch to touch
 ARROW = 0.03            # m, from the tail to the patch
 LETTER = 0.008          # m, height of a capital
 
@@ -55,7 +54,8 @@ def points(positions: Array, colours: Array) -> list[Marker]:
                    points=positions[::every], colours=_opaque(colours[::every]))]
 
 
-def patches(positions: Array, normals: Array, labels: Sequence[str], colour: Array) -> list[Marker]:
+def patches(positions: Array, normals: Array, radius: float, labels: Sequence[str],
+            colour: Array) -> list[Marker]:
     """
     Return patches to touch next: a disc on the bone, an arrow to it, a label above.
 
@@ -63,6 +63,7 @@ def patches(positions: Array, normals: Array, labels: Sequence[str], colour: Arr
     ----------
     positions, normals : (n, 3) float, m
         On the bone, best first; the first `MOST_PATCHES` are shown.
+    radius : float, m, of a disc
     labels : sequence of n str
     colour : (3,) float
 
@@ -74,7 +75,7 @@ def patches(positions: Array, normals: Array, labels: Sequence[str], colour: Arr
             tail = np.array([[0.0, 0.0, ARROW], [0.0, 0.0, 0.0]])
             label = from_rt(np.eye(3), positions[k] + (ARROW + LETTER) * normals[k])
             markers += [
-                Marker('patch', k, Shape.CYLINDER, (PATCH, PATCH, 0.1 * PATCH), pose,
+                Marker('patch', k, Shape.CYLINDER, (2.0 * radius, 2.0 * radius, 0.2 * radius), pose,
                        colours=np.append(colour, 0.7)),
                 Marker('patch_arrow', k, Shape.ARROW, (0.1 * ARROW, 0.2 * ARROW, 0.3 * ARROW), pose,
                        points=tail, colours=colour),

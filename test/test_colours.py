@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gsdf_registration import colours
+from gsdf_registration.config import LimitsConfig
 
 
 def lightness(shades: np.ndarray) -> np.ndarray:
@@ -24,14 +25,15 @@ def test_a_scale_runs_from_end_to_end_and_stays_there() -> None:
 
 def test_points_are_grey_when_they_do_not_bear_the_pose() -> None:
     shades = colours.residual_colours(np.array([0.0, -0.002, 0.0, np.nan]),
-                                      np.array([1.0, 1.0, 0.5, 1.0]), 0.002)
+                                      np.array([1.0, 1.0, 0.5, 1.0]), LimitsConfig(max_sigma=0.002))
     assert shades[0] == pytest.approx(colours.rgb(colours.RESIDUAL[0]))
     assert shades[1] == pytest.approx(colours.rgb(colours.RESIDUAL[-1]))    # of either sign
     assert shades[2:] == pytest.approx(np.tile(colours.rgb(colours.UNUSED), (2, 1)))
 
 
 def test_the_more_error_the_darker_the_bone() -> None:
-    shades = colours.on_scale(np.linspace(0.0, 1.0, 20), colours.ERROR, 1.0)
+    limits = LimitsConfig(max_predicted_tre=0.5)
+    shades = colours.error_colours(np.linspace(0.0, 1.0, 20), limits)
     assert (np.diff(lightness(shades)) < 0.0).all()
     assert lightness(shades[:1])[0] > 5.0 * lightness(shades[-1:])[0]
     # a point on the bone stands out from bone of small error

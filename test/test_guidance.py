@@ -138,8 +138,11 @@ def test_places_are_apart_best_first_and_within_reach() -> None:
 def test_the_place_that_tells_two_poses_apart_lies_off_the_bone_at_the_other() -> None:
     points = touched(200, 0)
     turned = rigid.exp([0.0, 0.0, 0.5, 0.0, 0.0, 0.0]) @ T_BONE_TRACKER
-    place = where_they_differ([T_BONE_TRACKER, turned], bone_field(), points)
-    assert abs(bone_field().sample(place[None])[0][0]) < 1e-4
+    touch = where_they_differ([T_BONE_TRACKER, turned], bone_field(), points)
+    place = touch.position
+    off_surface, outward = bone_field().sample(place[None])
+    assert abs(off_surface[0]) < 1e-4 and outward[0] @ touch.normal > 0.9
+    assert (touch.label, touch.promise) == ('decides', 'it decides which of the poses is right')
     surface = bone_field().surface_points.astype(np.float64)
 
     def off(x: Array) -> Array:

@@ -80,6 +80,7 @@ class Function:
 class Process:
     cmd: list[str]
     shell: bool = False
+    name: str | None = None
     output: str = 'log'
     condition: If | None = None
 
@@ -89,6 +90,7 @@ class NodeAction:
     package: str
     executable: str
     name: str
+    namespace: str | None = None
     parameters: list[Any] = field(default_factory=list)
     arguments: list[Any] = field(default_factory=list)
     ros_arguments: list[Any] = field(default_factory=list)
@@ -162,6 +164,7 @@ def test_a_model_wins_over_the_one_in_the_settings(description: Description) -> 
     _, (node,) = started(description, model='12', config='my.yaml', log_level='debug')
     settings, last = node.parameters
     assert settings == 'my.yaml'
+    assert node.namespace is not None   # or it would only win over what is meant for all nodes
     # a name that looks like a number stays a name
     assert last == {'model.path': Value('12', value_type=str)}
     assert node.ros_arguments[-1] == 'registration:=debug'
@@ -171,6 +174,7 @@ def test_a_bag_is_played_once_the_node_is_active(description: Description) -> No
     _, (_, player) = started(description, bag="a 'quoted' bag")
     command, = player.cmd
     assert player.shell
+    assert player.name == 'player'      # or the whole command would stand before each of its lines
     assert command.startswith('until ros2 lifecycle get /registration')
     assert command.endswith("""exec ros2 bag play 'a '"'"'quoted'"'"' bag'""")
 

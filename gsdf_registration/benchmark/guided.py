@@ -156,7 +156,7 @@ class _Wound:
         rivals = choice.as_likely(config.limits.min_gap)
         if rivals and rms(confidence.predicted_tre(targets)) <= self.run.limit:
             poses = [choice.solution.T_bone_tracker, *rivals]
-            return where_they_differ(poses, self.field, self.exposed, GAP)
+            return where_they_differ(poses, self.field, self.exposed, GAP).position
         return where_to_touch(confidence, self.field, self.exposed, targets, 1, GAP)[0].position
 
     def error(self, T_bone_tracker: Array, where: Array) -> Array:

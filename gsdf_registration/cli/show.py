@@ -53,12 +53,12 @@ def run(args: argparse.Namespace) -> int:
     points, guess = _touched(args, field, config)
     with common.busy('looking where the bone is'):
         found = survey(points, field, config, None, 0, guess, (), lambda: False)
-    good = not found.objections
-    verdict = _praise(found) if good else f'Refused: {found.objections[0].message}'
+    no = found.objection
+    verdict = _praise(found) if no is None else f'Refused: {no.message}'
     with common.busy('drawing'):
-        write_picture(args.output, Scene(found, field, config.limits), verdict, good)
+        write_picture(args.output, Scene(found, field, config.limits), verdict, no is None)
     print(f'{verdict}\n  picture        {args.output}')
-    return 0 if good else 1
+    return 0 if no is None else 1
 
 
 def _praise(found: Survey) -> str:

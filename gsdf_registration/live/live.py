@@ -171,8 +171,8 @@ class LiveRegistration:
         error = f'{1e3 * survey.predicted_tre_m.get("rms", np.nan):.1f} mm (RMS) over the bone'
         if self.ready:
             return replace(known, message=f'enough: register now; expected error {error}')
-        # whether this is the pose at all comes before how well it is held
-        for no in sorted(survey.objections, key=lambda no: no.reason is Reason.UNDER_CONSTRAINED):
+        no = survey.objection
+        if no is not None:
             few = no.reason is Reason.TOO_FEW_POINTS    # how many there are changes all the time
             message = (f'drag the probe over the bone: {self.config.limits.min_points} points at '
                        'least are needed') if few else no.message

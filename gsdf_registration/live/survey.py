@@ -16,11 +16,11 @@ from gsdf_registration.confidence import assess_at
 from gsdf_registration.config import Config
 from gsdf_registration.density import once_on_strokes
 from gsdf_registration.field import Field
-from gsdf_registration.guidance import Touch, advise
-from gsdf_registration.judgement import Finding, describe, objections, too_loose
+from gsdf_registration.guidance import Touch
+from gsdf_registration.judgement import Finding, describe, objections
 from gsdf_registration.live.warm import WarmPose
 from gsdf_registration.registration import attempt, check_points
-from gsdf_registration.result import ON_BONE, Reason, Refusal
+from gsdf_registration.result import Reason, Refusal
 from gsdf_registration.rigid import Array
 from gsdf_registration.session.collection import Points
 from gsdf_registration.session.strokes import StrokeReport, report
@@ -47,7 +47,6 @@ class Survey:
     pose : to be followed from here on; None if there is none
     T_tracker_bone, covariance : (4, 4), (6, 6), of the pose as it was found; None unless it is
         trusted, that is held too loosely at worst
-    touches : where to touch next, best first
     residuals_m, weights : (n,) float, of the points; empty unless the pose is trusted
     strokes : a report of each; none unless the pose is trusted
     """
@@ -61,7 +60,6 @@ class Survey:
     pose: WarmPose | None = None
     T_tracker_bone: Array | None = None
     covariance: Array | None = None
-    touches: tuple[Touch, ...] = ()
     residuals_m: Array = item(default_factory=lambda: np.zeros(0))
     weights: Array = item(default_factory=lambda: np.zeros(0))
     strokes: tuple[StrokeReport, ...] = ()
@@ -70,6 +68,16 @@ class Survey:
     def trusted(self) -> bool:
         """Whether the pose may be shown."""
         return self.T_tracker_bone is not None
+
+    @property
+    def objection(self) -> Refusal | None:
+        """The one to speak of, the gravest."""
+        return next(iter(self.objections), None)
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """Where to touch next, best first: what is seen is what is spoken of."""
+        return () if self.objection is None else self.objection.touches
 
 
 def survey(points: Points, field: Field, config: Config, before: Solution | None,
@@ -129,7 +137,6 @@ def survey(points: Points, field: Field, config: Config, before: Solution | None
     weights = weights[_last_of(rows, np.arange(len(positions)))]
     residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, positions))[0]
     return replace(known, T_tracker_bone=pose.T_tracker_bone, covariance=pose.covariance,
-                   touches=_touches(pose, found, field, config) if against else (),
                    residuals_m=residuals, weights=weights,
                    strokes=tuple(report(points, residuals, weights)))
 
@@ -168,13 +175,3 @@ def _followed(used: Array, field: Field, config: Config,
     found = describe(Choice(pose.solution, residuals, []), pose.confidence,
                      np.ones(len(used), dtype=bool), field, config)
     return pose, found, tuple(objections(found, used, field, config))
-
-
-def _touches(pose: WarmPose, found: Finding, field: Field, config: Config) -> tuple[Touch, ...]:
-    """Return where a touch would help most."""
-    on_bone = pose.points[pose.solution.weights > ON_BONE]
-    touched = rigid.transform(pose.solution.T_bone_tracker, on_bone)
-    place, _ = too_loose(found, touched, field, config)
-    if place is None or found.confidence is None:
-        return ()
-    return tuple(advise(found.confidence, field, touched, place.targets, config))

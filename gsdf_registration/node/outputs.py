@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 from rclpy.lifecycle import LifecycleNode
 
 from gsdf_registration.config import Config
 from gsdf_registration.field import Field
+from gsdf_registration.guidance import Touch
 from gsdf_registration.live import LivePose
 from gsdf_registration.live.survey import Survey
 from gsdf_registration.node.publishers import PosePublishers
@@ -56,20 +58,21 @@ class Outputs:
             self._draw(survey.T_tracker_bone, survey.covariance, survey.points.positions,
                        survey.residuals_m, survey.weights, survey.points.strokes, survey.touches)
             self._draws_live = True
-        elif self._draws_live:
-            self._draw_registered(session)
+        elif self._draws_live or survey.touches:
+            self._draw_registered(session, survey.touches)
+            self._draws_live = bool(survey.touches)
 
-    def _draw_registered(self, session: Session) -> None:
-        """Show the points of the last good pose on the bone; the bone alone, if there are none."""
+    def _draw_registered(self, session: Session, touches: Sequence[Touch] = ()) -> None:
+        """Show where to touch the bone and, if there is a last good pose, its points on it."""
         self._draws_live = False
         result, points = session.status().pose_result, session.registered_points()
         if result is None or points is None or result.residuals_m is None:
             with self._drawing:
                 if self._field is not None:
-                    self._scene.bone(self._field)
+                    self._scene.bone(self._field, touches)
             return
         self._draw(result.T_tracker_bone, result.covariance, points.positions, result.residuals_m,
-                   result.weights, points.strokes, ())
+                   result.weights, points.strokes, touches)
 
     def _draw(self, *what: Any) -> None:
         with self._drawing:

@@ -17,7 +17,7 @@ from gsdf_registration.confidence import predicted_tre
 from gsdf_registration.config import Config
 from gsdf_registration.decimation import Faces, drawn_surface
 from gsdf_registration.field import Field
-from gsdf_registration.guidance import Touch
+from gsdf_registration.guidance import PATCH, Touch
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
 from gsdf_registration.rigid import Array, inverse, transform
 from msg_adapters import markers, ros
@@ -47,13 +47,13 @@ class ScenePublisher:
         """Colour by the limits of these settings from now on."""
         self._config = config
 
-    def bone(self, field: Field) -> None:
-        """Show the bone alone: there is no pose that would tell where the points are on it."""
+    def bone(self, field: Field, touches: Sequence[Touch] = ()) -> None:
+        """Show the bone and where to touch it: no pose tells where on it the points are."""
         nothing = np.zeros((0, 3))
         vertices, faces = self._drawn(field)
         plain = np.tile(colours.rgb(colours.ERROR[0]), (len(vertices), 1))
         self._publish(markers.bone(vertices, faces, plain) + markers.points(nothing, nothing)
-                      + self._patches(()))
+                      + self._patches(touches))
         if self._stale:
             self._cloud(nothing, *np.zeros((3, 0)))
 
@@ -83,10 +83,8 @@ class ScenePublisher:
         vertices, faces = self._drawn(field)
         error = predicted_tre(T_tracker_bone, covariance, vertices)
         self._publish(
-            markers.bone(vertices, faces,
-                         colours.on_scale(error, colours.ERROR, 2.0 * limits.max_predicted_tre))
-            + markers.points(on_bone,
-                             colours.residual_colours(residuals, weights, limits.max_sigma))
+            markers.bone(vertices, faces, colours.error_colours(error, limits))
+            + markers.points(on_bone, colours.residual_colours(residuals, weights, limits))
             + self._patches(touches))
         self._cloud(on_bone, residuals, weights, strokes)
 
@@ -101,12 +99,11 @@ class ScenePublisher:
         return self._surface[1:]
 
     def _patches(self, touches: Sequence[Touch]) -> list[Marker]:
-        """Return where to touch next, numbered, with the TRE to expect once it was touched."""
-        labels = [f'{number}: {1e3 * touch.predicted_tre:.1f} mm'
-                  for number, touch in enumerate(touches, start=1)]
+        """Return where to touch next, numbered, with what is gained by it."""
+        labels = [f'{number}: {touch.label}' for number, touch in enumerate(touches, start=1)]
         return markers.patches(np.array([touch.position for touch in touches]).reshape(-1, 3),
                                np.array([touch.normal for touch in touches]).reshape(-1, 3),
-                               labels, colours.rgb(colours.NEXT))
+                               PATCH, labels, colours.rgb(colours.NEXT))
 
     def _cloud(self, positions: Array, residuals: Array, weights: Array,
                strokes: NDArray[Any]) -> None:

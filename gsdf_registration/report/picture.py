@@ -83,16 +83,17 @@ def _views(scene: Scene) -> dict[str, View]:
     """Return what was touched, the whole bone, and the bone from where all else is seen."""
     surface = scene.field.surface_points.astype(np.float64)
     touched = scene.positions[scene.found.weights > ON_BONE]
-    if not len(touched):
-        return {'the bone': _view(scene, surface, FRONT, WHOLE),
-                'from the other side': _view(scene, surface, -FRONT, WHOLE)}
-    outward = scene.field.sample(touched)[1].mean(axis=0)
-    if np.linalg.norm(outward) < 0.1:       # touched all round
-        outward = FRONT
     touches = scene.found.touches
-    shown = np.vstack([touched, *(touch.position for touch in touches)])
-    views = {'where it was touched': _view(scene, shown, outward, CLOSE),
-             'the whole bone from there': _view(scene, surface, outward, WHOLE)}
+    if len(touched):
+        outward = scene.field.sample(touched)[1].mean(axis=0)
+        if np.linalg.norm(outward) < 0.1:       # touched all round
+            outward = FRONT
+        shown = np.vstack([touched, *(touch.position for touch in touches)])
+        views = {'where it was touched': _view(scene, shown, outward, CLOSE),
+                 'the whole bone from there': _view(scene, surface, outward, WHOLE)}
+    else:
+        outward = touches[0].normal if touches else FRONT
+        views = {'the bone': _view(scene, surface, outward, WHOLE)}
     hidden = next((k for k, touch in enumerate(touches)
                    if not any(view.sees(touch) for view in views.values())), None)
     if hidden is None:
@@ -140,21 +141,21 @@ def _coarser(image: Array) -> Array:
 def _draw_words(figure: Figure, scene: Scene) -> None:
     """Say what the colours mean, and what to do next."""
     found = scene.found
+    lines = [f'{k}: {touch.promise}' for k, touch in enumerate(found.touches, start=1)]
+    if lines:
+        figure.text(0.7, 0.175, '\n'.join(['green: where to touch next', *lines]), fontsize=10,
+                    va='top', color='#00664a', linespacing=1.6)
     if found.covariance is None:
         figure.text(0.02, 0.15, 'no pose: nobody knows where on the bone the points are',
                     fontsize=11, color='#444444')
         return
     used = found.weights > ON_BONE
-    _draw_scale(figure, 0.02, colours.RESIDUAL, scene.most_residual,
+    _draw_scale(figure, 0.02, colours.RESIDUAL, colours.most_residual(scene.limits),
                 'points: how far off the surface, mm (NOT the accuracy)')
-    _draw_scale(figure, 0.36, colours.ERROR, scene.most_error,
+    _draw_scale(figure, 0.36, colours.ERROR, colours.most_error(scene.limits),
                 'bone: error to expect there (predicted TRE), mm')
     figure.text(0.02, 0.03, f'{used.sum()} points lie on the bone; grey: {(~used).sum()} not used',
                 fontsize=10, color='#444444')
-    lines = [f'{k}: {touch.promise}' for k, touch in enumerate(found.touches, start=1)]
-    if lines:
-        figure.text(0.7, 0.175, '\n'.join(['green: where to touch next', *lines]), fontsize=10,
-                    va='top', color='#00664a', linespacing=1.6)
 
 
 def _draw_scale(figure: Figure, left: float, scale: tuple[str, ...], limit: float,

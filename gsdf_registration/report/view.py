@@ -12,13 +12,12 @@ from gsdf_registration import colours
 from gsdf_registration.confidence import predicted_tre
 from gsdf_registration.config import LimitsConfig
 from gsdf_registration.field import Field
-from gsdf_registration.guidance import Touch
+from gsdf_registration.guidance import PATCH, Touch
 from gsdf_registration.live.survey import Survey
 from gsdf_registration.report.raycast import Camera, cast, light
 from gsdf_registration.rigid import Array, inverse, transform
 
 POINT = 0.0012      # m, radius of a touched point
-PATCH = 0.008       # m, radius of a patch to touch
 RIM = 0.0012        # m, of a patch
 
 
@@ -27,7 +26,7 @@ class Scene:
     """
     What there is to see.
 
-    found : Survey of the points; without a pose the bone is seen alone
+    found : Survey of the points; without a pose the bone is seen without them
     field : of the bone
     limits : what the colours are scaled by
     """
@@ -42,16 +41,6 @@ class Scene:
         if self.found.T_tracker_bone is None:
             return np.zeros((0, 3))
         return transform(inverse(self.found.T_tracker_bone), self.found.points.positions)
-
-    @property
-    def most_residual(self) -> float:
-        """Where the scale of the residuals ends, m."""
-        return self.limits.max_sigma
-
-    @property
-    def most_error(self) -> float:
-        """Where the scale of the predicted error ends, m."""
-        return 2.0 * self.limits.max_predicted_tre
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +76,7 @@ def paint(scene: Scene, camera: Camera) -> View:
     image[seen] *= brightness[:, None]
     height[seen] = camera.project(places)[2]
     _dot(image, height, camera, scene.positions, colours.residual_colours(
-        scene.found.residuals_m, scene.found.weights, scene.most_residual))
+        scene.found.residuals_m, scene.found.weights, scene.limits))
     return View(camera, image.reshape(rows, columns, 3), height.reshape(rows, columns))
 
 
@@ -96,8 +85,7 @@ def _bone(scene: Scene, places: Array) -> Array:
     T_tracker_bone, covariance = scene.found.T_tracker_bone, scene.found.covariance
     if T_tracker_bone is None or covariance is None:
         return np.tile(colours.rgb(colours.ERROR[0]), (len(places), 1))
-    return colours.on_scale(predicted_tre(T_tracker_bone, covariance, places), colours.ERROR,
-                            scene.most_error)
+    return colours.error_colours(predicted_tre(T_tracker_bone, covariance, places), scene.limits)
 
 
 def _patched(bone: Array, places: Array, normals: Array, touches: Sequence[Touch]) -> Array:

@@ -97,6 +97,17 @@ def test_what_would_be_refused_is_drawn_with_what_would_help(
     assert like(good, colours.ERROR[-1]).sum() == 0 and like(poor, colours.ERROR[-1]).sum() > 1000
 
 
+def test_where_several_poses_fit_the_place_that_decides_is_drawn(
+        bags: Path, hip_bone: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    positions = read_bag(bags / 'hip_optical', ['/probe/tip']).positions[:120]
+    np.savetxt('begun.csv', positions, delimiter=',', header='x,y,z', comments='')
+    assert main(['show', 'begun.csv', '--unit', 'm', '--model', str(hip_bone)]) == 1
+    assert ', where they differ most' in capsys.readouterr().out
+    image = shown('scene.png')
+    assert like(image, colours.NEXT).sum() > 200
+    assert like(image, colours.RESIDUAL[0]).sum() == 0      # nobody knows where the points are
+
+
 def test_without_a_pose_the_bone_is_drawn_alone(capsys: pytest.CaptureFixture[str]) -> None:
     Path('few.csv').write_text('x,y,z\n0,0,0\n10,0,0\n20,0,0\n')
     assert main(['show', 'few.csv', '--unit', 'mm', '--model', 'bone.ply', '-o', 'few.png']) == 1

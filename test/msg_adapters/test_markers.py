@@ -44,7 +44,8 @@ def test_the_bytes_are_read_as_they_were_meant(frame_id: str, labels: list[str])
     rng = np.random.default_rng(0)
     places = rng.normal(size=(len(labels), 3))
     shown = [*markers.points(rng.normal(size=(5, 3)), rng.uniform(size=(5, 3))),
-             *markers.patches(places, np.tile([0.0, 0.6, 0.8], (len(labels), 1)), labels, GREEN),
+             *markers.patches(places, np.tile([0.0, 0.6, 0.8], (len(labels), 1)), 0.008, labels,
+                               GREEN),
              *markers.bone(TRIANGLE, FACE, np.eye(3))]
     written = to_bytes(shown, frame_id)
     array = deserialize_message(written, MarkerArray)
@@ -72,7 +73,8 @@ def test_a_bone_of_300_000_faces_stays_below_2_mb_with_all_that_is_on_it() -> No
     most = np.ones((10_000, 3))
     size = len(to_bytes([*markers.bone(vertices, faces, np.ones((len(vertices), 3))),
                          *markers.points(most, most),
-                         *markers.patches(most, most, ['1: 0.8 mm'] * len(most), GREEN)], 'bone'))
+                         *markers.patches(most, most, 0.008, ['1: 0.8 mm'] * len(most), GREEN)],
+                        'bone'))
     assert 1_000_000 < size < 2_000_000
     assert 120 * MOST_FACES + 40 * markers.MOST_POINTS + 10_000 < 2_000_000     # the worst of all
 
@@ -108,10 +110,11 @@ def test_points_are_balls_of_their_colours_thinned_out_if_too_many() -> None:
 
 def test_a_patch_is_a_disc_with_an_arrow_along_its_normal_and_a_label() -> None:
     normal = np.array([0.6, 0.0, 0.8])
-    shown = sent(markers.patches(TRIANGLE[1:2], normal[None], ['1: 0.8 mm'], GREEN))
+    shown = sent(markers.patches(TRIANGLE[1:2], normal[None], 0.008, ['1: 0.8 mm'], GREEN))
     disc, arrow, label = (shown[name, 0] for name in ('patch', 'patch_arrow', 'patch_label'))
     assert (disc.type, arrow.type, label.type) == (Marker.CYLINDER, Marker.ARROW,
                                                    Marker.TEXT_VIEW_FACING)
+    assert (disc.scale.x, disc.scale.y) == pytest.approx((0.016, 0.016))    # its diameter
     for marker in (disc, arrow):
         assert numbers([marker.pose.position], 'xyz')[0] == pytest.approx(TRIANGLE[1])
         x, y, z, w = numbers([marker.pose.orientation], 'xyzw')[0]
@@ -127,8 +130,9 @@ def test_a_patch_is_a_disc_with_an_arrow_along_its_normal_and_a_label() -> None:
 
 def test_what_is_gone_is_deleted_whatever_was_seen_before() -> None:
     full = [*markers.points(TRIANGLE, np.eye(3)),
-            *markers.patches(np.zeros((9, 3)), np.tile(np.eye(3)[2], (9, 1)), ['n'] * 9, GREEN)]
-    none = [*markers.points(NOTHING, NOTHING), *markers.patches(NOTHING, NOTHING, [], GREEN)]
+            *markers.patches(np.zeros((9, 3)), np.tile(np.eye(3)[2], (9, 1)), 0.008, ['n'] * 9,
+                             GREEN)]
+    none = [*markers.points(NOTHING, NOTHING), *markers.patches(NOTHING, NOTHING, 0.008, [], GREEN)]
     before, after = sent(full), sent(none)
     assert before.keys() == after.keys()
     assert {marker.action for marker in before.values()} == {Marker.ADD}

@@ -46,9 +46,10 @@ def scene(field: Field, positions: Array, sure: bool = True) -> Scene:
     none = np.zeros(len(positions), np.int32)
     points = Points(transform(T_TRACKER_BONE, positions), none.astype(np.float64), none, none)
     covariance = np.diag([shift, shift, shift, turn, turn, turn]) ** 2
+    loose = Refusal(Reason.UNDER_CONSTRAINED, 'loose', 'touch', [Touch(top, X, 0.0008, 0.001)])
     return Scene(Survey(points, T_tracker_bone=T_TRACKER_BONE, covariance=covariance,
-                        residuals_m=residuals, weights=weights,
-                        touches=(Touch(top, X, 0.0008, 0.001),)), field, Config().limits)
+                        residuals_m=residuals, weights=weights, objections=(loose,)),
+                 field, Config().limits)
 
 
 def seen_from(direction: Array, field: Field, scene: Scene) -> View:
@@ -130,6 +131,20 @@ def test_a_scene_becomes_a_png(tmp_path: Path, field: Field, posed: bool) -> Non
         found = like(image, colour).sum()
         assert found > 500 if posed else found == 0
     assert (np.ptp(image, axis=-1) < 0.1)[image.mean(axis=-1) < 0.9].sum() > 20_000  # the bone
+
+
+@pytest.mark.usefixtures('_coarse')
+def test_without_a_pose_the_place_that_decides_is_seen(tmp_path: Path, field: Field) -> None:
+    shown = scene(field, touched(100, radius=0.02))
+    top = shown.found.touches[0].position
+    rivals = Refusal(Reason.AMBIGUOUS, 'two poses', 'touch', [Touch(top, X)])
+    # whether this is the pose at all comes before how well it is held
+    lost = Survey(shown.found.points, objections=(*shown.found.objections, rivals))
+    file = tmp_path / 'scene.png'
+    picture.write_picture(file, Scene(lost, field, shown.limits), 'two poses', good=False)
+    image = matplotlib.image.imread(file)[..., :3]
+    assert like(image, colours.NEXT).sum() > 200
+    assert like(image, colours.RESIDUAL[0]).sum() == 0
 
 
 @pytest.mark.usefixtures('_coarse')

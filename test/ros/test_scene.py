@@ -44,6 +44,24 @@ def test_who_comes_late_sees_the_bone_and_the_points_on_it(tracker: Tracker,
     assert shown['patch', 0].action == Marker.DELETE    # the pose is held: nothing more to touch
 
 
+def test_the_place_that_would_decide_between_poses_is_seen(tracker: Tracker) -> None:
+    client = tracker.client
+    assert client.collect(True).success
+    tracker.send(tracker.positions[:120], tracker.steps[:120])
+    told = client.status(live__reason='ambiguous')
+    assert told['touch_next'] in told['message'] and told['touch_next'].startswith('touch the bone')
+
+    def marked(array: MarkerArray) -> dict[tuple[str, int], Marker]:
+        return {(marker.ns, marker.id): marker for marker in array.markers
+                if marker.action == Marker.ADD}
+    shown = marked(client.hear(MarkerArray, '~/markers',
+                               accept=lambda array: ('patch', 0) in marked(array)))
+    assert shown['patch_label', 0].text == '1: decides'
+    assert ('patch', 1) not in shown
+    assert client.ask('clear').success
+    client.hear(MarkerArray, '~/markers', accept=lambda array: ('patch', 0) not in marked(array))
+
+
 def test_every_topic_of_the_layouts_is_one_of_the_node(tracker: Tracker) -> None:
     node = tracker.client.node
     ours = {topic: settings for topic, settings in rviz_topics().items()
