@@ -13,6 +13,7 @@ import numpy as np
 from gsdf_registration import mesh_repair
 from gsdf_registration.result import InputError, Reason
 from gsdf_registration.rigid import Array
+from gsdf_registration.words import counted, length
 
 SMALLEST, LARGEST = 0.02, 2.0   # extent of a bone, m
 
@@ -116,8 +117,8 @@ def _bone_of_mesh(vertices: Array, faces: np.ndarray) -> Bone:
 def _bone_of_cloud(points: Array, normals: Array) -> Bone:
     """Check the normals of a cloud and drop repeated points."""
     if normals.shape != points.shape:
-        raise InputError(f'the model has {len(points)} points but {len(normals)} normals; '
-                         'give one normal a point')
+        raise InputError(f'the model has {counted(len(points), "point")} but '
+                         f'{counted(len(normals), "normal")}; give one normal a point')
     length = np.linalg.norm(normals, axis=1)
     if (length < 1e-6).any():
         raise InputError(f'normal {int(length.argmin())} of the model has no length; '
@@ -127,7 +128,7 @@ def _bone_of_cloud(points: Array, normals: Array) -> Bone:
         notes.append('The normals were scaled to unit length.')
     _, first = np.unique(points, axis=0, return_index=True)
     if len(first) < len(points):
-        notes.append(f'{len(points) - len(first)} repeated points were dropped.')
+        notes.append(f'Dropped {counted(len(points) - len(first), "repeated point")}.')
     first.sort()
     return Bone(points[first], None, normals[first] / length[first, None], tuple(notes))
 
@@ -164,6 +165,6 @@ def _check_size(vertices: Array) -> None:
     extent = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         given, meant = ('mm', 'm') if extent < SMALLEST else ('m', 'mm')
-        raise InputError(f'the model reads as {extent * 1e3:.4g} mm large, but a bone is '
+        raise InputError(f'the model reads as {length(extent)} large, but a bone is '
                          f'{SMALLEST * 1e3:.0f} mm to {LARGEST:.0f} m: its unit is probably '
                          f'{meant}, not {given}', Reason.WRONG_UNIT)

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from gsdf_registration.rigid import Array
 from gsdf_registration.winding import winding_numbers
+from gsdf_registration.words import counted
 
 SAME_PLACE = 1e-6       # vertices closer than this share of the extent are one
 SPECK = 0.01            # bodies with less than this share of the largest one's area are noise
@@ -41,7 +42,7 @@ def merge_vertices(vertices: Array, faces: np.ndarray,
         representative = lowest[group][label.ravel()]
     merged = int((representative != np.arange(len(vertices))).sum())
     if merged:
-        notes.append(f'{merged} duplicate vertices were merged.')
+        notes.append(f'Merged {counted(merged, "duplicate vertex", "duplicate vertices")}.')
     return drop_unused_vertices(vertices, representative[faces])
 
 
@@ -57,7 +58,7 @@ def drop_bad_faces(vertices: Array, faces: np.ndarray, notes: list[str]) -> np.n
     extent = float(np.ptp(vertices, axis=0).max())
     flat = areas(vertices, faces) <= 1e-12 * extent**2
     if flat.any():
-        notes.append(f'{int(flat.sum())} faces without an area were dropped.')
+        notes.append(f'Dropped {counted(int(flat.sum()), "face")} without an area.')
         faces = faces[~flat]
     low, middle, high = np.sort(faces, axis=1).T
     order = np.lexsort((high, middle, low))
@@ -65,7 +66,7 @@ def drop_bad_faces(vertices: Array, faces: np.ndarray, notes: list[str]) -> np.n
     same = (np.diff(low[order]) == 0) & (np.diff(middle[order]) == 0) & (np.diff(high[order]) == 0)
     repeated[order[1:][same]] = True
     if repeated.any():
-        notes.append(f'{int(repeated.sum())} duplicate faces were dropped.')
+        notes.append(f'Dropped {counted(int(repeated.sum()), "duplicate face")}.')
     return faces[~repeated]
 
 
@@ -94,7 +95,7 @@ def wind_consistently(faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, 
     # the fewer faces of a body are the flipped ones
     minority = np.bincount(bodies, flipped) * 2 > np.bincount(bodies)
     flipped ^= minority[bodies]
-    notes.append(f'{int(flipped.sum())} flipped faces were turned to fit their neighbours.')
+    notes.append(f'Turned {counted(int(flipped.sum()), "flipped face")} to fit the neighbours.')
     return np.where(flipped[:, None], faces[:, ::-1], faces), bodies
 
 
@@ -104,7 +105,7 @@ def large_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
     area = np.bincount(bodies, areas(vertices, faces))
     specks = area < SPECK * area.max()
     if specks.any():
-        notes.append(f'{int(specks.sum())} loose specks were dropped.')
+        notes.append(f'Dropped {counted(int(specks.sum()), "loose speck")}.')
     return ~specks[bodies]
 
 
@@ -127,7 +128,8 @@ def orient_outward(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
             faces[mine] = faces[mine, ::-1]
             turned += 1
     if turned:
-        notes.append(f'{turned} of {len(np.unique(bodies))} bodies were inside out and turned.')
+        count = counted(len(np.unique(bodies)), 'body', 'bodies')
+        notes.append(f'Turned what was inside out: {turned} of {count}.')
     return faces
 
 
@@ -143,7 +145,7 @@ def outer_bodies(vertices: Array, faces: np.ndarray, bodies: np.ndarray,
                for other in names if other != body):
             inner.append(body)
     if inner:
-        notes.append(f'{len(inner)} bodies inside another one were dropped.')
+        notes.append(f'Dropped {counted(len(inner), "body", "bodies")} inside another one.')
     return ~np.isin(bodies, inner)
 
 

@@ -136,11 +136,11 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     bad = int((~(np.abs(points) < rigid.FARTHEST).all(axis=1)).sum())
     if bad:
         raise InputError(
-            f'{bad} of {len(points)} points are not finite; drop them before registering')
+            f'not finite: {bad} of {len(points)} points; drop them before registering')
     if len(points) < limits.min_points:
         raise Refusal(
             Reason.TOO_FEW_POINTS,
-            f'{len(points)} points are too few, {limits.min_points} are needed; '
+            f'too few points: {len(points)}, and {limits.min_points} are needed; '
             'go on dragging the probe over the bone')
     extent = float(np.ptp(np.percentile(points, [5.0, 95.0], axis=0), axis=0).max())
     # a thousand times too large or too small, on a bone that may be exposed from end to end

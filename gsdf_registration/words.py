@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: 1 point, 2 points."""
-    return f'{number} {noun}{"" if number == 1 else "s"}'
+def counted(number: int, noun: str, plural: str = '') -> str:
+    """Return a number with its noun: 1 point, 2 points, 3 bodies; the plural if it is no -s."""
+    return f'{number} {noun if number == 1 else plural or noun + "s"}'
 
 
 def length(metres: float) -> str:
-    """Return a length in the unit that suits it."""
-    return f'{metres:.3g} m' if metres >= 1.0 else f'{1e3 * metres:.3g} mm'
+    """Return a length in the unit that suits it, to a hundredth of a millimetre at best."""
+    return f'{metres:.3g} m' if metres >= 1.0 else f'{round(1e3 * metres, 2):.3g} mm'

@@ -19,6 +19,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 
 from gsdf_registration.result import InputError
+from gsdf_registration.words import counted
 from msg_adapters.files import words_of
 
 STORAGES = ('.mcap', '.db3')
@@ -96,7 +97,7 @@ class BagFiles:
                 f'{part} holds nothing readable: its recorder was killed or the copy cut short')
         note = (
             f'{part} ends without its index, as if its recorder was killed or the copy was cut '
-            f'short: {len(found)} messages were read up to there')
+            f'short: {counted(len(found), "message")} read up to there')
         if note not in self.notes:
             self.notes.append(note)
         return found

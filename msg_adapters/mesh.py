@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
+from gsdf_registration.words import counted
 from msg_adapters.files import words_of
 
 
@@ -105,7 +106,8 @@ def _check_stl_length(path: Path) -> None:
         raise InputError(f'{path} is cut short: {len(content)} bytes are too few for an STL file')
     count = int.from_bytes(content[80:84], 'little')
     if len(content) != 84 + 50 * count:
-        raise InputError(f'{path} is cut short or damaged: its header announces {count} triangles '
+        raise InputError(f'{path} is cut short or damaged: its header announces '
+                         f'{counted(count, "triangle")} '
                          f'({84 + 50 * count} bytes), the file has {len(content)} bytes')
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
+from gsdf_registration.words import counted
 from msg_adapters.files import METRES, read_text
 from msg_adapters.recording import Recording
 
@@ -89,7 +90,8 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
             samples.append(_sample(f'{path}, line {number}', number, block, chosen))
     if not samples:
         raise InputError(
-            f'{path}: {chosen.label} was never tracked ({lost} lines, none with State OK)')
+            f'{path}: {chosen.label} was never tracked '
+            f'({counted(lost, "line")}, none with State OK)')
     errors = np.array([sample.error for sample in samples]) * METRES['mm']
     return Recording(
         positions=np.array([sample.position for sample in samples]) * METRES['mm'],
@@ -150,8 +152,8 @@ def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
     # markers come in groups of four cells; all else, as a decimal comma, would shift the columns
     if extra not in (*range(0, tool.extra, 4), tool.extra):
         raise InputError(
-            f'{where}: has {len(block)} values for {tool.label} where {width} are expected '
-            '(numbers need a decimal point)')
+            f'{where}: has {counted(len(block), "value")} for {tool.label} where {width} are '
+            'expected (numbers need a decimal point)')
     cells = {name: block[i] for name, i in tool.columns.items()}
     time = cells.get('Time', '')
     try:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
+from gsdf_registration.words import counted
 from msg_adapters import ndi
 from msg_adapters.files import metres_per, readable_file
 from msg_adapters.mesh import load_surface
@@ -139,7 +140,7 @@ def _points_table(path: Path) -> Table:
     if not table.rows:
         raise InputError(f'{path} has no points')
     if not table.columns and len(table.rows[0]) not in (3, 6):
-        raise InputError(f'{path} has {len(table.rows[0])} columns and no header: '
+        raise InputError(f'{path} has {counted(len(table.rows[0]), "column")} and no header: '
                          'name them in the first line (x,y,z ...)')
     return table
 

@@ -111,6 +111,7 @@ class SessionJournal:
         self._ahead, self._rejected, self._silent = [], {}, False
         if ours or even_of_others:
             try:
+                _refuse_if_in_use(self.path)
                 set_aside(self.path)
             except OSError as error:
                 self._fail(error)

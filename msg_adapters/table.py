@@ -17,6 +17,7 @@ import numpy as np
 
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
+from gsdf_registration.words import counted
 from msg_adapters.files import read_text
 
 
@@ -120,7 +121,7 @@ def _fitted(path: str | os.PathLike[str], number: int, cells: list[str], width: 
     """Return ``cells`` without empty ones past ``width``, or raise if they do not fit."""
     if len(cells) < width or any(cells[width:]):
         raise InputError(
-            f'{path}, line {number}: has {len(cells)} values where {width} are expected')
+            f'{path}, line {number}: has {counted(len(cells), "value")} where {width} are expected')
     return cells[:width]
 
 

@@ -109,12 +109,12 @@ def test_points_in_single_precision_will_do() -> None:
 
 
 @pytest.mark.parametrize(('points', 'reason', 'words'), [
-    (seen(29), Reason.TOO_FEW_POINTS, '29 points'),
-    (np.empty((0, 3)), Reason.TOO_FEW_POINTS, '0 points'),
+    (seen(29), Reason.TOO_FEW_POINTS, 'too few points: 29'),
+    (np.empty((0, 3)), Reason.TOO_FEW_POINTS, 'too few points: 0'),
     (seen(200, radius=0.008), Reason.REGION_TOO_SMALL, 'span'),
     (1e3 * seen(), Reason.WRONG_UNIT, 'unit'),
     (1e-3 * seen(), Reason.WRONG_UNIT, 'unit'),
-    (np.vstack([seen(), [[np.nan, 0.0, 0.0]]]), Reason.BAD_INPUT, '1 of 401 points are not finite'),
+    (np.vstack([seen(), [[np.nan, 0.0, 0.0]]]), Reason.BAD_INPUT, 'not finite: 1 of 401 points'),
     (np.vstack([seen(), np.full((2, 3), np.inf)]), Reason.BAD_INPUT, '2 of 402'),
     (seen()[:, :2], Reason.BAD_INPUT, '(400, 2)'),
     (seen().ravel(), Reason.BAD_INPUT, '(1200,)'),

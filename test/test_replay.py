@@ -17,7 +17,8 @@ from gsdf_registration.replay import replay
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import angle_between, exp, inverse, transform
 from gsdf_registration.simulation.moving import Sway
-from msg_adapters.bag import BagWriter, read_bag
+from msg_adapters.bag import read_bag
+from msg_adapters.bag_writer import BagWriter
 from msg_adapters.recording import Motion, Recording
 from msg_adapters.truth import Truth
 

@@ -25,7 +25,7 @@ from gsdf_registration.registration import register
 from gsdf_registration.report import scene, write_report
 from gsdf_registration.result import InputError, Reason, RegistrationResult
 from gsdf_registration.rigid import Array, quaternion_from_rotation, transform
-from msg_adapters.bag import BagWriter
+from msg_adapters.bag_writer import BagWriter
 
 OUTLIERS = 20
 ABOUT = {'model SHA-256': 'c0ffee' * 10, 'points': '<b>points</b>.csv'}

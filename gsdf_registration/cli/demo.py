@@ -17,6 +17,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from gsdf_registration.cli import common
 from gsdf_registration.result import InputError, Reason, RegistrationResult
+from gsdf_registration.words import counted
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
@@ -248,6 +249,7 @@ def what_was_seen(values: dict[str, str]) -> str:
         f'{count} {key.removeprefix("rejected.").replace("_", " ")}'
         for key, count in values.items() if key.startswith('rejected.') and count != '0'
     ]
-    return (f'{values["received"]} points; kept {values["kept"]} in {values["strokes"]} strokes' +
-            (f'; not kept {", ".join(refused)}' if refused else '')
-            + f'; {values["landmarks"]} landmarks')
+    return (f'{values["received"]} points; kept {values["kept"]} in '
+            + counted(int(values['strokes']), 'stroke')
+            + (f'; not kept {", ".join(refused)}' if refused else '')
+            + f'; {counted(int(values["landmarks"]), "landmark")}')

@@ -7,6 +7,7 @@ import argparse
 from typing import Any
 
 from gsdf_registration.cli.common import example
+from gsdf_registration.words import counted
 
 
 def add_parser(subparsers: Any) -> None:
@@ -35,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Convert, and say what was converted."""
     from gsdf_registration.result import InputError
-    from msg_adapters.bag import BagWriter
+    from msg_adapters.bag_writer import BagWriter
     from msg_adapters.ndi import read_ndi
     from msg_adapters.recording import merge
 
@@ -48,6 +49,6 @@ def run(args: argparse.Namespace) -> int:
             bag.write_point(args.topic, stamp, position, args.frame_id)
     seconds = recording.stamps.max() - recording.stamps.min()
     lost = recording.dropped.get('tracking_state', 0)
-    print(f'{args.output}: {len(recording)} points in {seconds:.1f} s on {args.topic}'
+    print(f'{args.output}: {counted(len(recording), "point")} in {seconds:.1f} s on {args.topic}'
           + (f'; samples without tracking, left out: {lost}' if lost else ''))
     return 0

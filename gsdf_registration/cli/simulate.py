@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gsdf_registration.result import InputError
+from gsdf_registration.words import counted
 
 if TYPE_CHECKING:
     from gsdf_registration.rigid import Array
@@ -148,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
               places.round(7), means.round(7), about))
     print(
         f'{args.output}: {len(run_.stamps)} points in {run_.stamps[-1]:.1f} s, '
-        f'{int(run_.on_bone.sum())} of them on the bone, {len(names)} landmarks; '
+        f'{int(run_.on_bone.sum())} of them on the bone, {counted(len(names), "landmark")}; '
         f'truth in {truth_path(args.output)}')
     return 0
 
@@ -158,7 +159,8 @@ def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag, sway: Sway |
     import numpy as np
 
     from gsdf_registration.rigid import inverse, transform
-    from msg_adapters.bag import LANDMARK_TOPIC, TIP_TOPIC, BagWriter
+    from msg_adapters.bag import LANDMARK_TOPIC, TIP_TOPIC
+    from msg_adapters.bag_writer import BagWriter
 
     with BagWriter(args.output) as bag:
         start = START
@@ -260,7 +262,7 @@ def _numbers(text: str, count: int, option: str) -> Array:
         numbers = np.zeros(0)
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise InputError(
-            f'{option} must be {count} number{"s" * (count > 1)} between commas, not "{text}"')
+            f'{option} must be {counted(count, "number")} between commas, not "{text}"')
     return numbers
 
 

@@ -22,6 +22,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from gsdf_registration.result import InputError
+from gsdf_registration.words import counted
 from msg_adapters.bag import POINT
 from msg_adapters.bag_storage import BagFiles
 from msg_adapters.ros import stamp_to_seconds
@@ -67,7 +68,7 @@ def _play(options: argparse.Namespace) -> int:
         due = start + (_stamp(message) - first) / options.rate
         time.sleep(max(0.0, due - time.monotonic()))
         publisher.publish(message)
-    print(f'played {len(messages)} points', flush=True)
+    print(f'played {counted(len(messages), "point")}', flush=True)
     return 0
 
 

@@ -16,7 +16,7 @@ import trimesh
 from gsdf_registration import __version__
 from gsdf_registration.cli.main import main
 from gsdf_registration.rigid import Array, exp, is_rigid, rotation_from_quaternion, transform
-from msg_adapters.bag import BagWriter
+from msg_adapters.bag_writer import BagWriter
 from msg_adapters.truth import Truth, truth_path, write_truth
 
 T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])

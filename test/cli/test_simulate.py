@@ -35,7 +35,7 @@ def test_bag_and_truth(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFix
     ]
     assert simulate(hip_bone, tmp_path / 'run', *options) == 0
     (line,) = capsys.readouterr().out.splitlines()
-    assert '267 points' in line and '200 of them' in line and '1 landmarks' in line
+    assert '267 points' in line and '200 of them' in line and '1 landmark;' in line
     recording, truth = read_bag(tmp_path / 'run'), read_truth(tmp_path / 'run.yaml')
     assert len(recording) == 267 and set(recording.frame_ids) == {'camera'
                                                                   } and truth.frame_id == 'camera'

@@ -9,7 +9,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import exp
-from msg_adapters.bag import BagWriter, list_topics, read_bag
+from msg_adapters.bag import list_topics, read_bag
+from msg_adapters.bag_writer import BagWriter
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 POINT = 'geometry_msgs/msg/PointStamped'
