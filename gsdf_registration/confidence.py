@@ -167,18 +167,29 @@ def _confidence(solution: Solution, points: Array, pattern: float,
         return None
     variance = float((w * solution.residuals[used]**2).sum() / w.sum())
     J, e = precision[:, None] * solution.jacobian[used], precision * solution.residuals[used]
-    H = (J.T * solution.curvature[used]) @ J
-    if not np.all(np.diag(H) > 0.0):
+    # where a few points of doubt hold the pose, what they take away may be more than there is;
+    # then they count for nothing
+    for curvature in (solution.curvature[used], np.clip(solution.curvature[used], 0.0, None)):
+        H = (J.T * curvature) @ J
+        if _holds(H):
+            break
+    else:
         return None
     scale = np.sqrt(np.diag(H))
-    held = np.linalg.eigvalsh(H / np.outer(scale, scale))
-    if held[0] < 1e-10 * held[-1]:
-        return None
     psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
     C = inflation * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
     centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
     return Confidence(C, centre, float(np.sqrt(variance)), pattern, inflation)
+
+
+def _holds(H: Array) -> bool:
+    """Tell whether an information matrix (6, 6) holds all six motions, whatever their units."""
+    if not np.all(np.diag(H) > 0.0):
+        return False
+    scale = np.sqrt(np.diag(H))
+    held = np.linalg.eigvalsh(H / np.outer(scale, scale))
+    return bool(held[0] >= 1e-10 * held[-1])
 
 
 def _together(solution: Solution, neighbours: NDArray[np.int64], weights: Array) -> float:

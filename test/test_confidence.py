@@ -163,6 +163,22 @@ def test_names_of_the_bone_are_used_in_the_sentence() -> None:
     assert 'knob' in named.sentence and 'far' not in named.sentence and 'mm' in bare.sentence
 
 
+def test_points_of_doubt_take_away_but_no_more_than_there_is() -> None:
+    solution, sure = confidence_at(touched(300, 3, SIGMA), bone_field(), np.eye(4), 'mixture')
+    around = np.zeros((300, 3), dtype=np.int64)
+
+    def claimed(doubt: float) -> float:
+        curvature = solution.curvature.copy()
+        curvature[:60] = doubt
+        doubted = dataclasses.replace(solution, curvature=curvature)
+        found = assess(doubted, np.zeros((300, 3)), around)
+        assert found is not None
+        return float(np.trace(found.motion_covariance))
+    without = claimed(0.0)
+    assert claimed(1.0) < without < claimed(-0.5)
+    assert claimed(-100.0) == without
+
+
 def test_points_in_one_plane_claim_nothing() -> None:
     points = touched(300, 0, SIGMA)
     solution, _ = confidence_at(points, bone_field(), np.eye(4))

@@ -21,13 +21,18 @@ from gsdf_registration.benchmark.scoring import (
     share_of_limits,
     well_posed,
 )
+from gsdf_registration.confidence import Confidence
 from gsdf_registration.config import Config
 from gsdf_registration.judgement import rms
 from gsdf_registration.registration import register
 from gsdf_registration.result import RegistrationResult
 
-COLUMNS = ('scenario', 'trials', 'right', 'refused', 'wrong', 'efficiency', 'median', 'TRE',
-           'predicted', 'search', 'solve', 'refused for')
+COLUMNS = ('scenario', 'trials', 'right', 'refused', 'wrong', 'basin', 'efficiency', 'median',
+           'TRE', 'predicted', 'search', 'solve', 'refused for')
+BASIN = 0.005       # m, of what was exposed: a pose no farther off is in the right basin
+# nothing that was found is refused
+LENIENT = {'limits.max_predicted_tre': 1.0, 'limits.max_bone_tre': 1.0, 'limits.min_gap': 0.0,
+           'limits.min_inliers': 0.0, 'limits.max_pattern': 1000.0, 'limits.min_extent': 0.0}
 
 
 def attempt(trial: Trial, config: Config) -> Row:
@@ -49,6 +54,7 @@ def row(problem: Problem, result: RegistrationResult, config: Config) -> Row:
     return {
         'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,
         'model': trial.model, 'verdict': verdict, 'reason': str(result.reason),
+        'in_basin': None if bound is None else in_basin(problem, bound, result, config),
         'well_posed': well_posed(problem, bound, config), **errors,
         'bound_rms_m': None if bound is None else rms(
             bound.predicted_tre(problem.field.surface_points.astype(np.float64))),
@@ -59,6 +65,24 @@ def row(problem: Problem, result: RegistrationResult, config: Config) -> Row:
         'sigma_m': result.sigma_m, 'search_s': result.timing_s.get('search'),
         'solve_s': result.timing_s.get('solve'), 'message': result.message
     }
+
+
+def in_basin(problem: Problem, bound: Confidence, result: RegistrationResult,
+             config: Config) -> bool:
+    """
+    Tell whether the pose found is in the right basin; if it was refused, the pose behind that.
+
+    Parameters
+    ----------
+    problem : whose model is the bone that was touched
+    bound : its `cramer_rao`
+    result : of its points with these settings
+
+    """
+    if result.T_tracker_bone is None:
+        result = register(problem.drag.positions, problem.field, config.replaced(LENIENT))
+    return (result.T_tracker_bone is not None
+            and pose_errors(result.T_tracker_bone, problem, bound).tre_region_m < BASIN)
 
 
 def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
@@ -76,6 +100,8 @@ def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
         efficiency = [np.sqrt(row['nees'] / 6.0) for row in right]
         yield (
             scenario, str(len(own)), *(str(verdicts[v]) for v in ('right', 'refused', 'wrong')),
+            _figure(np.mean, [row['in_basin'] for row in own if row['in_basin'] is not None],
+                    '.1%'),
             _figure(rms, efficiency), _figure(np.median, efficiency),
             _figure(rms, [1e3 * row['tre_rms_m'] for row in right]),
             _figure(rms, [1e3 * row['predicted_rms_m'] for row in right]),
@@ -99,6 +125,17 @@ def faulty_refusals(rows: Sequence[Row]) -> tuple[list[Row], int]:
     """Return the rows of well-posed problems that were refused, and how many are well-posed."""
     own = [row for row in rows if row['well_posed']]
     return [row for row in own if row['verdict'] == 'refused'], len(own)
+
+
+def basins(rows: Sequence[Row]) -> tuple[list[Row], int]:
+    """
+    Return the rows of the protocol whose pose is in a wrong basin, and how many there are of both.
+
+    Hard cases are no part of it.
+    """
+    own = [row for row in rows if row['in_basin'] is not None
+           and not SCENARIOS[row['scenario']].hard]
+    return [row for row in own if not row['in_basin']], len(own)
 
 
 def _figure(of: Callable[[Any], Any], values: Sequence[float], form: str = '.2f') -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gsdf_registration.benchmark.protocol import Scenario, Trial
     from gsdf_registration.config import Config
 
-WIDTHS = (18, 7, 6, 8, 6, 11, 7, 7, 10, 7, 6)
+WIDTHS = (18, 7, 6, 8, 6, 8, 11, 7, 7, 10, 7, 6)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -117,15 +117,17 @@ def tell(trial: Trial, config: Config) -> int:
 def show(rows: list[Row]) -> None:
     """Print the confusion table, and by name whatever went wrong."""
     from gsdf_registration.benchmark.trust import (
+        BASIN,
         COLUMNS,
+        basins,
         faulty_refusals,
         ideally_wrong,
         table,
         wrong_claims,
     )
-    print('efficiency: RMS and median error of right poses in units of the Cramer-Rao bound; TRE '
-          'and predicted:\nRMS over the whole bone and over right poses, mm; search, solve: '
-          'median, ms, one thread\n')
+    print('basin: poses found, refused or not, in the right one; efficiency: RMS and median error '
+          'of right poses\nin units of the Cramer-Rao bound; TRE and predicted: RMS over the whole '
+          'bone and over right poses, mm;\nsearch, solve: median, ms, one thread\n')
     for cells in [COLUMNS, *table(rows)]:
         print(f'{cells[0]:<{WIDTHS[0]}}'
               + ''.join(f'{cell:>{width}}' for cell, width in zip(cells[1:-1], WIDTHS[1:]))
@@ -140,6 +142,12 @@ def show(rows: list[Row]) -> None:
           + (f' ({100.0 * len(refused) / well:.1f} %)' if well else ''))
     for row in refused:
         print(f'  {row["job"]}  {row["reason"]}  {detail(row)}')
+    astray, asked = basins(rows)
+    print(f'{len(astray)} of {asked} poses of the protocol, refused or not, more than '
+          f'{1e3 * BASIN:.0f} mm off where the bone was touched'
+          + (f' ({100.0 * len(astray) / asked:.1f} %)' if asked else ''))
+    for row in astray:
+        print(f'  {row["job"]}  {row["verdict"]}  {row["reason"]}')
 
 
 def detail(row: Row) -> str:

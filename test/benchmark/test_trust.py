@@ -14,6 +14,7 @@ from gsdf_registration.benchmark.cases import Case
 from gsdf_registration.benchmark.protocol import SCENARIOS, Problem, Trial, make
 from gsdf_registration.benchmark.trust import (
     COLUMNS,
+    basins,
     faulty_refusals,
     ideally_wrong,
     row,
@@ -47,6 +48,10 @@ def test_rows_of_right_wrong_and_refused(femur_bone: Path) -> None:
     refused = row(asked, RegistrationResult.refused(Reason.AMBIGUOUS, 'no'), Config())
     assert refused['verdict'] == 'refused' and refused['tre_rms_m'] is None
     assert list(refused) == list(right)
+    # the pose behind the refusal counts; a pose a little off is in the right basin all the same
+    assert right['in_basin'] and wrong['in_basin'] and refused['in_basin']
+    astray = T @ rigid.from_rt(np.eye(3), [0.0, 0.0, 0.006])
+    assert not row(asked, answer(astray), Config())['in_basin']
     mirrored = row(problem(femur_bone, 'mirrored'), answer(T), Config())
     assert mirrored['verdict'] == 'wrong' and not mirrored['well_posed']
     assert list(mirrored) == list(right)
@@ -54,13 +59,14 @@ def test_rows_of_right_wrong_and_refused(femur_bone: Path) -> None:
 
 def rows() -> list[dict[str, Any]]:
     one = {'scenario': 'clean', 'verdict': 'right', 'reason': 'converged', 'well_posed': True,
-           'ideal_wrong': 0.01, 'nees': 6.0, 'tre_rms_m': 3e-4, 'predicted_rms_m': 5e-4,
-           'search_s': 0.5, 'solve_s': 0.1}
+           'in_basin': True, 'ideal_wrong': 0.01, 'nees': 6.0, 'tre_rms_m': 3e-4,
+           'predicted_rms_m': 5e-4, 'search_s': 0.5, 'solve_s': 0.1}
     return [{**one, 'scenario': 'mirrored', 'verdict': 'wrong', 'well_posed': False,
-             'ideal_wrong': None, 'nees': None, 'tre_rms_m': None},
+             'in_basin': None, 'ideal_wrong': None, 'nees': None, 'tre_rms_m': None},
             one, {**one, 'nees': 24.0, 'tre_rms_m': 4e-4},
             {**one, 'verdict': 'refused', 'reason': 'ambiguous', 'search_s': None},
-            {**one, 'verdict': 'refused', 'reason': 'ambiguous', 'well_posed': False}]
+            {**one, 'verdict': 'refused', 'reason': 'ambiguous', 'well_posed': False,
+             'in_basin': False}]
 
 
 def test_the_table_counts() -> None:
@@ -68,6 +74,7 @@ def test_the_table_counts() -> None:
     assert (clean['scenario'], mirrored['scenario'], all_['scenario']) == ('clean', 'mirrored',
                                                                           'all')
     assert [clean[key] for key in ('trials', 'right', 'refused', 'wrong')] == ['4', '2', '2', '0']
+    assert clean['basin'] == '75.0%' and mirrored['basin'] == '-'
     assert clean['efficiency'] == '1.58' and clean['median'] == '1.50'
     assert clean['TRE'] == '0.35' and clean['search'] == '500'
     assert clean['refused for'] == '2 ambiguous'
@@ -79,6 +86,8 @@ def test_what_went_wrong_is_listed() -> None:
     assert [row['scenario'] for row in wrong_claims(rows())] == ['mirrored']
     refused, well = faulty_refusals(rows())
     assert len(refused) == 1 and well == 3
+    astray, asked = basins(rows())
+    assert len(astray) == 1 and asked == 4
     assert ideally_wrong(rows()) == pytest.approx(0.02)
 
 

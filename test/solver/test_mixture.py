@@ -31,6 +31,7 @@ from gsdf_registration.solver.mixture import (
     _expectation,
     _local_means,
     _log_likelihood,
+    _observe,
     _white_noise,
 )
 
@@ -265,3 +266,19 @@ def test_weights_and_likelihood_are_those_of_a_mixture() -> None:
     np.testing.assert_allclose(weight, np.where(odds > -30.0, expit(odds), 0.0), rtol=1e-9)
     assert _log_likelihood(mean, 16, share, scatter, REACH) == pytest.approx(
         np.log(on_bone + interference).sum() / 16, rel=1e-12)
+
+
+def test_what_a_point_adds_is_the_slope_of_its_pull() -> None:
+    """d(w m)/dm of a local mean m, by differences; negative where a point is being given up."""
+    mean, scatter, step = np.linspace(-6e-4, 6e-4, 201), 1e-4, 1e-9
+
+    def weight(m: Array) -> Array:
+        w = np.zeros(len(m))
+        _expectation(m, m, 0.8, 3e-4, scatter, REACH, w)
+        return w
+    slope = ((mean + step) * weight(mean + step) - (mean - step) * weight(mean - step)) / (2 * step)
+    away = np.abs(mean) > 2 * step      # the odds jump at the surface
+    curvature = np.zeros(len(mean))
+    _observe(mean, weight(mean), scatter, curvature)
+    np.testing.assert_allclose(curvature[away], slope[away], rtol=1e-3, atol=1e-5)
+    assert curvature.min() < -0.2 and curvature.max() > 0.9
