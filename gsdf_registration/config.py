@@ -66,8 +66,9 @@ class GateConfig:
     max_speed: float = declared(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0,
                                 100.0)
     max_gap: float = declared(0.5, 'a longer silence starts a new stroke', 's', 0.0, 3600.0)
-    lift_speed: float = declared(0.1, 'a tip faster than this has lifted off, which starts a new '
-                                 'stroke, as does its landing; 0: never', 'm/s', 0.0, 100.0)
+    lift_ratio: float = declared(3.0, 'a tip so many times as fast as this hand mostly is has '
+                                 'lifted off, which starts a new stroke, as does its landing; '
+                                 '0: never', '', 0.0, 100.0)
     min_distance: float = declared(0.0, 'a point this near to the last one is a duplicate', 'm',
                                    0.0, 0.01)
     max_age: float = declared(0.5, 'a point older than this when it arrives is refused', 's', 0.0,
@@ -167,7 +168,7 @@ class LimitsConfig:
         0.002, 'predicted TRE (RMS) allowed at the targets; without any, on the bone within 100 mm '
         'of what was touched', 'm', 1e-5, 1.0)
     max_bone_tre: float = declared(
-        0.0015, 'predicted TRE (RMS) allowed over the whole bone, where no targets are named', 'm',
+        0.0013, 'predicted TRE (RMS) allowed over the whole bone, where no targets are named', 'm',
         1e-5, 1.0)
     verification: float = declared(0.002, 'distance at a verification point that still passes', 'm',
                                    1e-5, 0.1)
@@ -281,8 +282,8 @@ class Config:
         for section in ('landmarks', 'targets'):
             points = getattr(config, section)
             if len(points.positions) != 3 * len(points.names):
-                raise InputError(f'{section}.positions holds {len(points.positions)} numbers for '
-                                 f'{len(points.names)} names; give x y z for each')
+                raise InputError(f'{section}.positions must hold x y z for each of {section}.names:'
+                                 f' {3 * len(points.names)} numbers, not {len(points.positions)}')
             if len(set(points.names)) < len(points.names):
                 raise InputError(f'{section}.names holds a name twice; name each by its own')
         for name in config.guidance.near:

@@ -121,8 +121,8 @@ def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
     ({'targets.positions': [True, 0.0, 0.0]}, 'targets.positions must be a list of float'),
     ({'targets.names': ['a'], 'targets.positions': [float('nan'), 0.0, 0.0]},
      'must be a list of float'),
-    ({'landmarks.names': ['a']}, 'landmarks.positions holds 0 numbers for 1 names'),
-    ({'targets.positions': [0.0, 0.0]}, 'targets.positions holds 2 numbers for 0 names'),
+    ({'landmarks.names': ['a']}, 'landmarks.names: 3 numbers, not 0'),
+    ({'targets.positions': [0.0, 0.0]}, 'targets.names: 0 numbers, not 2'),
     ({'targets.names': ['a', 'a'], 'targets.positions': 6 * [0.0]}, 'holds a name twice'),
 ])
 def test_what_cannot_be_used_is_refused_in_a_sentence(values: dict[str, Any],

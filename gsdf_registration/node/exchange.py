@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import dataclasses
 import traceback
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rclpy.parameter import Parameter
 
-from gsdf_registration.config import Config, ModelConfig
+from gsdf_registration.config import Config, ModelConfig, settings
 from gsdf_registration.model import find_model
 from gsdf_registration.node.loading import load
+from gsdf_registration.node.parameters import parameter_type
 from gsdf_registration.node.worker import Worker
 from gsdf_registration.result import InputError, Reason
 
@@ -24,10 +25,11 @@ class BoneExchange:
     Loads the bone that ``model.*`` name from now on.
 
     Until it is there, and if it cannot be had, the old one stays; the points stay in any case.
+    What is named on a bone, landmarks and targets, is not on another.
     """
 
     def __init__(self, node: RegistrationNode) -> None:
-        self.notice = ''        # one sentence while a bone is loaded, or after it could not be
+        self.notice = ''        # one sentence while a bone is loaded
         self._node = node
         self._worker = Worker()
         self._model = ModelConfig()     # of the bone in use
@@ -47,8 +49,15 @@ class BoneExchange:
 
         """
         model = config.model
-        if self._node.state not in ('inactive', 'active') or model == self._model:
+        if self._node.state not in ('inactive', 'active'):
             return False    # a node that is configured later loads it then
+        other = model != self._model
+        if (self._worker.busy or other and self._model.path) and (
+                _named(config) != _named(self._node.config)):
+            raise InputError('landmarks and targets are named on a bone that is in use; set '
+                             'model.path alone, and them when ~/status says that it is')
+        if not other:
+            return False
         if self._worker.busy:
             raise InputError('a bone is being loaded; wait until ~/status no longer says so')
         if not model.path:
@@ -66,6 +75,7 @@ class BoneExchange:
         assert executor is not None     # it brought the request
         self.notice = f'{self._node.config.model.path} is being loaded; the bone in use is kept ' \
                       'until then'
+        self._node.session.remark('')   # on a bone that could not be had
         executor.create_task(self._exchange)
 
     def idle(self) -> bool:
@@ -88,8 +98,22 @@ class BoneExchange:
             # a node that was cleaned up meanwhile reads its settings when it is configured again
             if field is not None and node.state in ('inactive', 'active'):
                 self.use(config.model)
-                node.take_bone(field)
+                if node.take_bone(field):
+                    self._unname()
         node.show()
+
+    def _unname(self) -> None:
+        """Forget what is named on the bone before, in the parameters too, and say so."""
+        node, named = self._node, _named(self._node.config)
+        words = f'{node.config.model.path} is in use'
+        if any(named.values()):
+            known = dict(settings())
+            node.set_parameters_atomically([
+                Parameter(name, parameter_type(known[name]), []) for name in named])
+            words += ('; landmarks and targets were those of the bone before and are dropped: name '
+                      'them on this one')
+            node.get_logger().warning(words)
+        node.session.remark(words)
 
     def _keep(self, error: InputError) -> None:
         """Say that the bone in use stays, and have the parameters say so too."""
@@ -102,4 +126,12 @@ class BoneExchange:
             node.set_parameters_atomically([
                 Parameter(f'model.{name}', value=value)
                 for name, value in dataclasses.asdict(self._model).items()])
-            self.notice = notice
+            self.notice = ''
+            node.session.remark(notice)
+
+
+def _named(config: Config) -> dict[str, list[Any]]:
+    """Return by name the settings that are true of one bone only."""
+    flat = config.flat()
+    return {name: flat[name] for name in ('landmarks.names', 'landmarks.positions', 'targets.names',
+                                          'targets.positions', 'guidance.near')}

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from gsdf_registration.config import Config
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 PERIOD = 0.1        # s, between two looks at whether a point has waited for too long
 SELDOM = 1.0        # s, the same where none can have waited
+MOST_AT_ONCE = 2000     # messages of a topic; then others have their turn
 RECENT = 3.0        # s for which it is told why points have been refused
 QUIET = 10.0        # s, between two lines of the log on the same thing
 
@@ -43,13 +46,11 @@ class Inputs:
         self._behind = 0.0      # s that the last message which tells of motion waited for us
         self._frames: Frames | None = None
         self._transforms: transforms.Transforms | None = None
-        self._subscribed = [
-            node.create_subscription(PointStamped, topic, partial(self._on_point, topic), POINTS)
-            for topic in config.probe.topics]
+        self._subscribed: list[Subscription] = []
+        for topic in config.probe.topics:
+            self._hear(PointStamped, topic, partial(self._on_point, topic))
         if config.reference.topic:
-            on_pose: Any = self._on_pose    # of two arguments, which rclpy takes but does not say
-            self._subscribed.append(node.create_subscription(
-                PoseStamped, config.reference.topic, on_pose, POINTS))
+            self._hear(PoseStamped, config.reference.topic, self._on_pose)
         self._timer: Timer | None = None
         back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-BACK),
                              on_clock_change=False)
@@ -70,6 +71,24 @@ class Inputs:
         waits = config.reference.topic or self._transforms is not None
         self._stop_looking()
         self._timer = self._node.create_timer(PERIOD if waits else SELDOM, self._look)
+
+    def _hear(self, kind: Any, topic: str, take: Callable[[Any, dict[str, Any]], None]) -> None:
+        """
+        Hear a topic, with each message all that wait behind it.
+
+        rclpy by itself takes one in a turn, and then a service, which is asked of a tip at rest or
+        of the points so far: where it was held up, that would answer from the past.
+        """
+        def take_all(message: Any, info: dict[str, Any]) -> None:
+            take(message, info)
+            for _ in range(MOST_AT_ONCE):
+                waiting = subscription.handle.take_message(kind, False)
+                if waiting is None:
+                    return
+                take(*waiting)
+        on_message: Any = take_all      # of two arguments, which rclpy takes but does not say
+        subscription = self._node.create_subscription(kind, topic, on_message, POINTS)
+        self._subscribed.append(subscription)
 
     def destroy(self) -> None:
         """Listen no more."""

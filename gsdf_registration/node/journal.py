@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -21,8 +22,7 @@ def keep_journal(session: Session, config: SessionConfig, log: RcutilsLogger) ->
     Write from now on what happens to ``session``; close what is returned when it ends.
 
     If ``session.resume``, the session first takes up what the journal beside ``session.path``
-    holds.  That, or why it cannot, is said in the log and in the status.  The journal stays where
-    it is begun, whatever ``session.path`` becomes: there a restart looks for it.
+    holds.  That, or why it cannot, is said in the log and in the status.
     """
     journal = SessionJournal(journal_path(config.path), log.warning)
     if config.resume:
@@ -35,6 +35,29 @@ def keep_journal(session: Session, config: SessionConfig, log: RcutilsLogger) ->
         session.remark(words)
     session.listen(journal)
     return journal
+
+
+def check_path(config: SessionConfig, before: SessionConfig) -> None:
+    """Raise `InputError` if ``session.path`` changes to where nothing can be written."""
+    folder = journal_path(config.path).parent
+    if config.path != before.path and not os.access(folder, os.W_OK):
+        raise InputError(f'session.path {config.path}: there is no folder {folder} to write to; '
+                         f'{before.path} is kept')
+
+
+def follow(session: Session, journal: SessionJournal, config: SessionConfig,
+           log: RcutilsLogger) -> SessionJournal:
+    """Keep the journal beside ``session.path`` as it is now, with all that was in it before."""
+    path = journal_path(config.path)
+    if path == journal.path or journal is NO_JOURNAL:
+        return journal
+    moved = SessionJournal(path, log.warning)
+    session.listen(moved, from_start=True)
+    journal.close()
+    # what it held is no longer the newest: nobody is to take it up unawares
+    aside = set_aside(journal.path) if path.exists() else None
+    log.info(f'the journal is {path} from now on' + (f', that of before {aside}' if aside else ''))
+    return moved
 
 
 def _resumed(session: Session, journal: SessionJournal) -> str:

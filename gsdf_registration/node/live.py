@@ -81,12 +81,13 @@ class _Pursuit:
     """
     The threads that follow one session with one bone; they start at once.
 
-    ``status`` is what there is to say, to be read at any time.
+    ``status`` is what there is to say, to be read at any time; of points that have been dropped
+    since, nothing.
     """
 
     def __init__(self, node: RegistrationNode, outputs: Outputs, session: Session, field: Field,
                  config: Config) -> None:
-        self.status = LiveStatus()
+        self._told = -1, LiveStatus()       # revision of the points that it is true of, and it
         self._node, self._outputs, self._session, self._field = node, outputs, session, field
         self._live = LiveRegistration(field, config)
         self._woken, self._stopping = threading.Event(), threading.Event()
@@ -101,6 +102,11 @@ class _Pursuit:
         self._thread = threading.Thread(target=self._run, name='live', daemon=True)
         self._thread.start()
         self.wake()     # there may be points
+
+    @property
+    def status(self) -> LiveStatus:
+        revision, status = self._told
+        return status if revision == self._session.revision else LiveStatus()
 
     def wake(self) -> None:
         self._woken.set()
@@ -158,17 +164,15 @@ class _Pursuit:
             survey = looking.result()
         except Cancelled:
             return None
-        live, ready = self._live, self._live.ready
+        live = self._live
         pose = live.accept(survey)
         if survey.searched and live.survey is survey:
             self._next_search = self._looked + SEARCH_EVERY
         self._tell()
-        if live.ready and not ready:
-            self._node.get_logger().info(self.status.message)
         return pose
 
     def _tell(self) -> None:
-        self.status = self._live.status()
+        self._told = self._live.revision, self._live.status()
         self._node.show_soon()
 
     def _patience(self) -> float | None:
@@ -211,10 +215,9 @@ class _Pursuit:
     def _guess(self) -> Array | None:
         """Return T_bone_tracker (4, 4) where a registration would begin; None: anywhere."""
         status, landmarks = self._session.status(), self._session.landmarks()
-        if len(landmarks) >= 3:
-            pairs = ([each.model for each in landmarks], [each.tracker for each in landmarks])
+        if landmarks is not None:
             try:
-                return first_guess(pairs, None)
+                return first_guess(landmarks, None)
             except Refusal:
                 return None
         if status.pose_result is None or status.pose_frame_id != self._frame_id:

@@ -17,7 +17,7 @@ from gsdf_registration.field import Field
 from gsdf_registration.judgement import moved
 from gsdf_registration.node.exchange import BoneExchange
 from gsdf_registration.node.inputs import Inputs
-from gsdf_registration.node.journal import NO_JOURNAL, keep_journal
+from gsdf_registration.node.journal import NO_JOURNAL, check_path, follow, keep_journal
 from gsdf_registration.node.live import Live
 from gsdf_registration.node.loading import load
 from gsdf_registration.node.outputs import Outputs
@@ -73,7 +73,6 @@ class RegistrationNode(LifecycleNode):
             description='become active without a lifecycle manager', read_only=True)).value
         self.session = Session(self.config)
         self._problem: InputError | None = None     # why the node could not be configured
-        self._anew = ''     # why this session was begun without being asked for
         self.cancelled = threading.Event()
         self._refused = 0
         self._field: Field | None = None
@@ -157,6 +156,7 @@ class RegistrationNode(LifecycleNode):
                 each.destroy()
         self._inputs, self.outputs, self._field = None, None, None
         self._journal.close()
+        self._journal = NO_JOURNAL
         self.session = Session(self.config)
 
     @property
@@ -186,7 +186,6 @@ class RegistrationNode(LifecycleNode):
 
     def clear(self) -> Answer:
         """Begin a new session, as the operator asks: drop what is held and what is on its way."""
-        self._anew = ''
         if self._inputs is not None:
             self._inputs.forget()
         return self.session.clear()
@@ -194,9 +193,9 @@ class RegistrationNode(LifecycleNode):
     def start_anew(self, why: str) -> None:
         """Begin a new session without being asked, and say why."""
         self.session.clear()
+        self.session.remark(f'a new session was begun, for {why}')
         self.live.wake()
-        self._anew = f'a new session was begun, for {why}'
-        self.get_logger().warning(self._anew, throttle_duration_sec=0.2)
+        self.get_logger().warning(f'a new session was begun, for {why}', throttle_duration_sec=0.2)
         self.show()
 
     def _tick(self) -> None:
@@ -221,8 +220,7 @@ class RegistrationNode(LifecycleNode):
     def _session_status(self) -> Status:
         status, refusal = with_live(self.session.status(), self.live.status), self.refusal()
         reason = status.reason if self._problem is None else self._problem.reason
-        told = [self._anew if status.result is None else '',
-                self._inputs.trouble if self._inputs is not None else '', status.message,
+        told = [self._inputs.trouble if self._inputs is not None else '', status.message,
                 self._exchange.notice]
         message = refusal or '; '.join(sentence for sentence in told if sentence)
         return dataclasses.replace(status, message=message, reason=reason)
@@ -240,14 +238,15 @@ class RegistrationNode(LifecycleNode):
         distance = moved(then.T_tracker_bone, now.T_tracker_bone, self._field)
         return f'the bone moved by {length(distance)} (RMS)'
 
-    def take_bone(self, field: Field) -> None:
-        """Work with another bone from now on; the points stay, a pose of the old one does not."""
+    def take_bone(self, field: Field) -> bool:
+        """Work with this bone from now on; tell as `Session.set_model`, which says what stays."""
         self._field = field
-        self.session.set_model(field)
+        other = self.session.set_model(field)
         if self.state == 'active':
             if self.outputs is not None:
                 self.outputs.bone(field, self.session)
             self.live.start(self.session, field, self.config)
+        return other
 
     def _why_fixed(self, name: str) -> str:
         if self.state == 'unconfigured' or not dict(settings())[name].metadata['fixed']:
@@ -257,8 +256,10 @@ class RegistrationNode(LifecycleNode):
 
     def _change(self, config: Config) -> None:
         other_bone = self._exchange.wanted(config)
+        check_path(config.session, self.config.session)
         self.session.configure(config)
         before, self.config = self.config, config
+        self._journal = follow(self.session, self._journal, config.session, self.get_logger())
         if other_bone:
             self._exchange.begin()
         if self._inputs is not None:

@@ -117,6 +117,8 @@ def usable(node: Node, config: Config, values: Mapping[str, Any]) -> Config:
         config = config.replaced(values)
     except InputError as error:
         raise InputError(error.message + _how_to_pair(values)) from None
+    if not config.session.path:
+        raise InputError('session.path is empty; name the file of ~/save and ~/load')
     topics = config.probe.topics + [topic for topic in [config.reference.topic] if topic]
     for topic in topics:
         try:

@@ -28,6 +28,7 @@ class StatusPublisher:
     def __init__(self, node: LifecycleNode) -> None:
         self._node = node
         self._last: DiagnosticStatus | None = None
+        self._state = ''
         self._status = node.create_publisher(DiagnosticStatus, '~/status', LATCHED,
                                              event_callbacks=UNWATCHED)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10,
@@ -36,6 +37,9 @@ class StatusPublisher:
     def show(self, status: Status, live: LiveStatus) -> DiagnosticStatus:
         """Publish ``~/status`` if it says something new; return its message."""
         message = status_message(status, live, self._node.get_fully_qualified_name())
+        if status.state == 'ready' and self._state != 'ready':
+            self._node.get_logger().info(status.message)
+        self._state = status.state
         if message != self._last:
             self._last = message
             self._status.publish(message)

@@ -10,9 +10,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-# Best effort hears reliable publishers too; deep, because a busy moment must cost no point (12 s at
-# 80 Hz).
-POINTS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT,
+# Best effort hears reliable publishers too; deep, because a busy moment must cost no point: 10 s at
+# 1 kHz. Where nobody attends for 3 s, a depth of 1000 loses two thirds of them and this none; it
+# takes 1 MB more of memory then.
+POINTS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT,
                     durability=DurabilityPolicy.VOLATILE)
 
 # Of a publisher that every subscriber matches. rclpy would watch for those that do not, and look

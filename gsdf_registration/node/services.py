@@ -77,14 +77,15 @@ class Services:
         before, dropped = session.status(), session.undo()
         self._node.live.wake()
         # a pose that was outdated before, as after ~/clear, is not what was undone
-        if not dropped.success or before.outdated or not session.outdated:
+        if not dropped.success or before.outdated or not session.status().outdated:
             return dropped
         if self._worker.busy:
-            return Answer(True, f'{dropped.message}; register again when the last request is done')
+            return Answer(True, f'{dropped.message}; the last good pose was found with it: '
+                          'register again when the last request is done')
         found = await self.register(Trigger.Request())
         if not found.success:
-            return Answer(True, f'{dropped.message}; it was found with the dropped stroke, and '
-                          f'without that there is none: {found.message}')
+            return Answer(True, f'{dropped.message}; the last good pose was found with it, and '
+                          f'without it there is none: {found.message}')
         return Answer(True, f'{dropped.message}; registered anew without it: '
                       f'{self._node.moved_since(before)}; {found.message}')
 

@@ -9,12 +9,15 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from gsdf_registration.live import LiveStatus
-from gsdf_registration.result import RegistrationResult
+from gsdf_registration.result import Reason, RegistrationResult
 from gsdf_registration.session.status import Status
 from gsdf_registration.session.strokes import interference
 from msg_adapters.ros import diagnostic_status
 
 LEVELS = {'no_model': DiagnosticStatus.ERROR, 'refused': DiagnosticStatus.WARN}     # the others: OK
+
+# What is said of points before the bone was really touched
+NOT_BEGUN = {Reason.TOO_FEW_POINTS, Reason.REGION_TOO_SMALL, Reason.WRONG_UNIT}
 
 
 def pose_kept(status: Status) -> str:
@@ -30,7 +33,9 @@ def with_live(status: Status, live: LiveStatus) -> Status:
         return replace(status, state='ready', message=message)
     if status.state not in ('collecting', 'idle'):
         return status
-    told = (status.message, interference(live.strokes), live.message)
+    # what is registered well needs not be registered again, and the landmarks come first
+    spare = live.ready or (status.to_come and live.reason in NOT_BEGUN)
+    told = (status.message, interference(live.strokes), '' if spare else live.message)
     return replace(status, message='; '.join(sentence for sentence in told if sentence))
 
 

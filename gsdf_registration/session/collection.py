@@ -67,13 +67,13 @@ class Collection:
         self.gate = gate
         self.max_points = max_points
         self.collecting = False
-        self._wanted_frame = frame_id
+        self.wanted_frame = frame_id
         self._next_serial = 0
         self.clear()
 
     def clear(self) -> None:
         """Forget all points, counts, stamps and the frame learnt; go on collecting, or not."""
-        self.frame_id: str | None = self._wanted_frame or None      # None: not known yet
+        self.frame_id: str | None = self.wanted_frame or None      # None: not known yet
         self.received = 0
         self.undone = 0
         self.counts = {str(cause): 0 for cause in Rejection}
@@ -241,7 +241,7 @@ class Collection:
 
     def want_frame(self, frame_id: str) -> None:
         """Expect points in this frame from now on; empty: in that of the next one."""
-        self._wanted_frame = frame_id
+        self.wanted_frame = frame_id
         self.frame_id = frame_id or None
 
     def refill(self, points: Points, frame_id: str | None, counts: dict[str, int]) -> None:
@@ -257,9 +257,9 @@ class Collection:
         if len(points.stamps) > self.max_points:
             raise InputError(f'{len(points.stamps)} points are more than collect.max_points allows '
                              f'({self.max_points})')
-        if self._wanted_frame and frame_id not in (None, self._wanted_frame):
+        if self.wanted_frame and frame_id not in (None, self.wanted_frame):
             raise InputError(f'the points are in frame "{frame_id}", but probe.frame_id is '
-                             f'"{self._wanted_frame}"')
+                             f'"{self.wanted_frame}"')
         self.clear()
         self.frame_id = self.frame_id if frame_id is None else frame_id
         self._points = Points(*(

@@ -102,6 +102,8 @@ class Replay:
         session = self.session
         if session['model_sha256'] != model_sha256:
             session |= {'result': None, 'pose_result': None, 'verifications': []}
+            if session['model_sha256'] is not None:
+                session['landmarks'] = []
             session['frames']['pose'] = ''
             for row in session['points']:
                 row[FIT:] = [None, None]

@@ -51,6 +51,11 @@ class Holdings:
         listener('model', self._model_sha256)
         listener('collecting', self.collection.collecting)
 
+    def tell_all(self) -> None:
+        """Tell whoever listens of all that is held, as if it had just been loaded."""
+        if len(self.collection) or self.touches.landmarks or self.pose is not None:
+            self._tell('session', self.record().to_dict(self.config))
+
     @property
     def _model_sha256(self) -> str | None:
         return None if self.field is None else self.field.bone_sha256
@@ -178,6 +183,8 @@ class Holdings:
             self.result = self.pose = None
             self.touches.verifications = []
             self.revision += 1
+            if self.field is not None:      # else they were named for the bone to come
+                self.touches.landmarks = []
         self.field = field
         self._tell('model', self._model_sha256)
         return other
@@ -195,6 +202,16 @@ class Holdings:
         self.collection.max_points = config.collect.max_points
         self.touches.configure(config.landmarks)
         self.config = config
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the last registration gave a pose."""
+        return self.result is not None and self.result.success
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the last good pose was found with points that have been dropped since."""
+        return self.pose is not None and self.pose.outdated(self.collection.serials())
 
     def reports(self) -> tuple[StrokeReport, ...]:
         """Return what each stroke held is worth at the last good pose."""

@@ -21,10 +21,11 @@ from gsdf_registration.rigid import Array
 from gsdf_registration.session.collection import Points, Rejection
 from gsdf_registration.session.events import Listener
 from gsdf_registration.session.holdings import Holdings
+from gsdf_registration.session.news import News
 from gsdf_registration.session.record import SessionRecord
 from gsdf_registration.session.standing_pose import StandingPose
 from gsdf_registration.session.status import Status, held, pose_stands, status_of
-from gsdf_registration.session.touches import Answer, CapturedLandmark
+from gsdf_registration.session.touches import Answer
 from gsdf_registration.words import counted
 
 __all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
@@ -39,25 +40,26 @@ class Session:
         self._lock = threading.Lock()
         self._holds = Holdings(config, field)
         self._solving = False
-        self._fresh = False     # whether the last registration is the latest thing that happened
-        self._remark = ''
-        # changes with the model and when all is cleared: older solves are void
+        self._news = News(self._holds)
+        # changes with the model and when points are dropped: older solves are void
         self._era = 0
 
-    def listen(self, listener: Listener) -> None:
+    def listen(self, listener: Listener, from_start: bool = False) -> None:
         """
         Tell ``listener`` every change of what is held, see `session_events`.
 
         It is called with the session locked, in the thread that changes it: it must not call the
-        session, nor raise, nor take long.
+        session, nor raise, nor take long.  ``from_start``: also of what is held by now.
         """
         with self._lock:
             self._holds.listen(listener)
+            if from_start:
+                self._holds.tell_all()
 
     def remark(self, text: str) -> None:
-        """Have the status say this too, until all is cleared or the next registration."""
+        """Have the status say this too, until the operator has gone on, cleared or registered."""
         with self._lock:
-            self._remark = text
+            self._news.remark(text)
 
     def add_point(self, stamp: float, position: Sequence[float], frame_id: str, source: str = '',
                   arrival: float | None = None, quality: float | None = None) -> Rejection | None:
@@ -78,7 +80,8 @@ class Session:
         """Start a stroke, or end it."""
         with self._lock:
             self._holds.collect(on)
-            self._fresh &= not on
+            if on:
+                self._news.stroke()
             return Answer(True, f'{"collecting a new stroke" if on else "not collecting"}; '
                           + held(self._holds))
 
@@ -92,20 +95,21 @@ class Session:
             dropped = self._holds.undo()
             if dropped is None:
                 return Answer(False, 'there is no stroke to undo')
-            self._fresh = False
-            part = ''
+            self._news.undo()
+            self._era += 1      # a registration that runs has what was dropped in it
+            part = '; the registration under way is given up' if self._solving else ''
             if dropped.split_by:
                 part = (f', which a {dropped.split_by} had split off the one before: undo again '
-                        'to drop that too')
+                        f'to drop that too{part}')
             return Answer(
                 True, f'dropped the last stroke, {counted(dropped.points, "point")}{part}; '
-                f'{held(self._holds)}' + pose_stands(self._holds))
+                f'{held(self._holds)}')
 
     def clear(self) -> Answer:
         """Drop all points, landmarks and verification points; the last good pose stands."""
         with self._lock:
             self._holds.clear()
-            self._fresh, self._remark = False, ''
+            self._news.end()
             self._era += 1
             return Answer(True, 'dropped all points, landmarks and verification points'
                           + pose_stands(self._holds))
@@ -114,12 +118,8 @@ class Session:
         """
         Take the resting tip as the next landmark of ``landmarks.names``; it is not for the fit.
 
-        Parameters
-        ----------
-        now : float, optional
-            Time on the clock of the arrivals given to `add_point`, s; a probe not seen of late is
-            left out.
-
+        At ``now``, s, on the clock of the arrivals given to `add_point`, a probe not seen of late
+        is left out.
         """
         with self._lock:
             return self._holds.capture_landmark(now)
@@ -130,7 +130,8 @@ class Session:
         """
         Find the bone with the points collected so far; points may come in meanwhile.
 
-        A refusal leaves the last good pose.
+        A refusal leaves the last good pose; while another registration runs, that comes at once and
+        is not remembered.
 
         Parameters
         ----------
@@ -140,11 +141,6 @@ class Session:
             A first guess.
         cancelled, progress : optional
             Asked whether to give up; told the share done.
-
-        Returns
-        -------
-        RegistrationResult
-            A refusal at once, not remembered, while another registration runs.
 
         """
         holds = self._holds
@@ -178,9 +174,10 @@ class Session:
             if self._era != era:
                 return RegistrationResult.refused(
                     Reason.NOT_CONVERGED, 'points or model were dropped meanwhile; register again')
-            self._fresh, self._remark = True, ''
-            return holds.register(StandingPose(dataclasses.replace(result, received=received),
-                                               points, serials, frame_id))
+            answer = holds.register(StandingPose(dataclasses.replace(result, received=received),
+                                                 points, serials, frame_id))
+            self._news.registration()
+            return answer
 
     def verify(self, now: float | None = None) -> Answer:
         """
@@ -192,12 +189,15 @@ class Session:
         with self._lock:
             return self._holds.verify(now)
 
-    def set_model(self, field: Field) -> None:
-        """Take another bone; the points stay, a pose of another bone does not."""
+    def set_model(self, field: Field) -> bool:
+        """Take a bone, tell if in another's place: then points stay, pose and landmarks do not."""
         with self._lock:
-            if self._holds.set_model(field):
-                self._fresh = False
+            first = self._holds.field is None
+            other = self._holds.set_model(field)
+            if other:
+                self._news.end()
                 self._era += 1
+            return other and not first
 
     def configure(self, config: Config) -> None:
         """
@@ -219,11 +219,10 @@ class Session:
             return self._holds.collection.collecting
 
     @property
-    def outdated(self) -> bool:
-        """Whether the last good pose was found with points that have been dropped since."""
+    def revision(self) -> int:
+        """What `points_since` returns: another one when points were dropped or replaced."""
         with self._lock:
-            pose = self._holds.pose
-            return pose is not None and pose.outdated(self._holds.collection.serials())
+            return self._holds.revision
 
     def points(self) -> Points:
         """Return a copy of the points collected so far."""
@@ -252,15 +251,15 @@ class Session:
         with self._lock:
             return None if self._holds.pose is None else self._holds.pose.points
 
-    def landmarks(self) -> tuple[CapturedLandmark, ...]:
-        """Return the landmarks captured so far."""
+    def landmarks(self) -> LandmarkPairs | None:
+        """Return where a registration begins, if three landmarks or more are captured."""
         with self._lock:
-            return tuple(self._holds.touches.landmarks)
+            return self._holds.touches.pairs
 
     def status(self) -> Status:
         """Return the session at a glance."""
         with self._lock:
-            return status_of(self._holds, self._solving, self._fresh, self._remark)
+            return status_of(self._holds, self._solving, self._news)
 
     def to_dict(self) -> dict[str, Any]:
         """
@@ -297,5 +296,5 @@ class Session:
             if self._solving:
                 raise InputError('a registration is running; wait for its answer, then load')
             holds.restore(SessionRecord.from_dict(record, holds.field.bone_sha256))
-            self._fresh, self._remark = holds.result is not None, ''
+            self._news.registration()
             self._era += 1

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from gsdf_registration.result import Reason, RegistrationResult
 from gsdf_registration.session.collection import Collection, Rejection
 from gsdf_registration.session.holdings import Holdings
+from gsdf_registration.session.news import News
 from gsdf_registration.session.strokes import StrokeReport
 from gsdf_registration.session.verification import VerificationSummary, summary
 from gsdf_registration.words import counted
@@ -25,6 +26,7 @@ class Status:
     rejected: dict[str, int]    # every cause of `Rejection`, and those a recording knows
     strokes: int
     landmarks: int
+    to_come: tuple[str, ...]    # landmarks not captured yet
     frame_id: str | None        # frame of the points; None until the first one
     reason: Reason | None       # of the last registration
     result: RegistrationResult | None       # the last one, refused or not
@@ -67,12 +69,8 @@ def pose_stands(holds: Holdings) -> str:
     return '' if holds.pose is None else '; the last good pose stands until the next registration'
 
 
-def status_of(holds: Holdings, solving: bool, fresh: bool, remark: str) -> Status:
-    """
-    Return a session at a glance.
-
-    ``fresh``: the last registration is the latest thing that happened.
-    """
+def status_of(holds: Holdings, solving: bool, news: News) -> Status:
+    """Return a session at a glance."""
     collection, touches = holds.collection, holds.touches
     pose = None if holds.pose is None else holds.pose.result
     state = 'collecting' if collection.collecting else 'idle'
@@ -80,29 +78,30 @@ def status_of(holds: Holdings, solving: bool, fresh: bool, remark: str) -> Statu
         state = 'no_model'
     elif solving:
         state = 'solving'
-    elif fresh and holds.result is not None:
+    elif news.is_registration and holds.result is not None:
         state = 'registered' if holds.result.success else 'refused'
     words = sentence(state, collection, holds.result, held(holds) + pose_stands(holds),
                      touches.to_come)
     return Status(
         state=state,
-        message='; '.join(filter(None, (words, remark))),
+        message='; '.join(filter(None, (words, news.remarked))),
         received=collection.received,
         kept=len(collection),
         rejected=dict(collection.counts),
         strokes=collection.strokes,
         landmarks=len(touches.landmarks),
+        to_come=tuple(touches.to_come),
         frame_id=collection.frame_id,
         reason=None if holds.result is None else holds.result.reason,
         result=holds.result,
         pose_result=pose,
         pose_frame_id='' if holds.pose is None else holds.pose.frame_id,
-        outdated=holds.pose is not None and holds.pose.outdated(collection.serials()),
+        outdated=holds.outdated,
         stroke_reports=holds.reports(),
         landmark_misses={} if pose is None or pose.T_tracker_bone is None else touches.misses(
             pose.T_tracker_bone),
         verification=summary(touches.verifications, holds.config.limits.verification),
-        remark=remark)
+        remark=news.remarked)
 
 
 def sentence(state: str, collection: Collection, result: RegistrationResult | None, held: str,
@@ -125,8 +124,12 @@ def trouble(collection: Collection) -> str:
     """Return what is wrong if most points are refused for one cause, or no more fit in."""
     counts = collection.counts
     looked_at = collection.received - counts[Rejection.NOT_COLLECTING.value]
-    for cause, advice in _ADVICE.items():
-        full = cause is Rejection.FULL and counts[cause.value] > 0
+    wanted = collection.wanted_frame
+    other = {Rejection.WRONG_FRAME: f'most points are not in "{wanted}": is probe.frame_id right?'}
+    for cause, advice in (_ADVICE | other if wanted else _ADVICE).items():
+        full = cause is Rejection.FULL and len(collection) >= collection.max_points
         if full or 2 * counts[cause.value] > max(looked_at, 20):
             return advice
+    if collection.frame_id == '':
+        return 'the points name no frame: have their driver fill in header.frame_id'
     return ''

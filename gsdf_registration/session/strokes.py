@@ -54,6 +54,9 @@ def report(points: Points, residuals: Array, weights: Array) -> list[StrokeRepor
         Probability that a point lies on the bone.
 
     """
+    # a reading repeated is not used again, and as good as it was the first time
+    _, first, same = np.unique(points.positions, axis=0, return_index=True, return_inverse=True)
+    weights, residuals = weights[first][same.ravel()], residuals[first][same.ravel()]
     on_bone = (weights > ON_BONE) & np.isfinite(residuals)
     numbers, stroke = np.unique(points.strokes, return_inverse=True)
     total = np.bincount(stroke, minlength=len(numbers))

@@ -2,9 +2,10 @@
 """
 What one source delivers, sample by sample: is it believed, and does a new stroke begin with it.
 
-A hand moves some six times as fast through the air as over a bone.  So a stroke ends where the tip,
-over a fifth of a second, becomes faster than ``gate.lift_speed``, and another begins where it is
-well below that again: what was recorded in the air is in a stroke of its own.
+A hand moves some six times as fast through the air as over a bone, be it a slow or a quick one.  So
+a stroke ends where the tip becomes ``gate.lift_ratio`` times as fast as it was over the last
+seconds, and another begins where it is well below that again: what was recorded in the air is in a
+stroke of its own.
 """
 
 from __future__ import annotations
@@ -20,8 +21,12 @@ AGREEING = 3
 # s, over which speed is judged at least: at 1 kHz the noise of two readings alone makes a fast tip
 SHORTEST = 0.01
 # s, over which the speed of the hand is taken: it outlasts a jerk, and the tracker's noise is small
-LIFT_WINDOW = 0.2
-LANDED = 0.7        # of ``gate.lift_speed``: a tip in the air is down again when it is slower
+LIFT_WINDOW = 0.15
+LANDED = 0.7        # of the speed of lifting off: a tip in the air is down again when it is slower
+# m/s, of a hand on a bone: until it is known; at least, or a tip that rested lifts when it goes on
+USUAL, SLOWEST = 0.03, 0.012
+# s, over which the speed of a hand is learnt: some strokes; longer in the air, which is not a bone
+MEMORY, AIR_MEMORY = 8.0, 32.0
 
 
 class Rejection(str, Enum):
@@ -57,9 +62,9 @@ Position = tuple[float, float, float]
 class TipStream:
     """What must be remembered of one source; positions (3,), m, stamps on its own clock, s."""
 
-    __slots__ = ('_on_our_clock', '_rest', '_rest_radius', '_stamp', '_trail', '_turning', '_wild',
-                 '_wild_count', '_wild_stamp', 'kept', 'lifted', 'seen', 'seen_stamp', 'split_by',
-                 'stroke')
+    __slots__ = ('_on_our_clock', '_pace', '_rest', '_rest_radius', '_stamp', '_trail', '_turning',
+                 '_wild', '_wild_count', '_wild_stamp', 'kept', 'lifted', 'seen', 'seen_stamp',
+                 'split_by', 'stroke')
 
     def __init__(self) -> None:
         self.stroke: int | None = None              # None: the next point starts one
@@ -76,6 +81,7 @@ class TipStream:
         # kept points back to LIFT_WINDOW ago, and how many in a row say that it lifted or landed
         self._trail: deque[tuple[float, Position]] = deque()
         self._turning = 0
+        self._pace = USUAL                          # m/s, geometric mean
         self._rest: Position | None = None          # where it rests for a landmark or verification
         self._rest_radius = 0.0
 
@@ -137,16 +143,18 @@ class TipStream:
         trail.append((stamp, point))
         while len(trail) > 1 and trail[1][0] <= stamp - LIFT_WINDOW:
             trail.popleft()
-        if gate.lift_speed > 0.0:
-            self._watch_for_lifting(stamp, point, gate.lift_speed)
+        if gate.lift_ratio > 0.0:
+            self._watch_for_lifting(stamp, point, gate.lift_ratio)
 
-    def _watch_for_lifting(self, stamp: float, point: Position, limit: float) -> None:
-        """Split the stroke where the tip becomes faster than a hand on a bone, or slow again."""
+    def _watch_for_lifting(self, stamp: float, point: Position, ratio: float) -> None:
+        """Split the stroke where the tip becomes much faster than this hand is, or slow again."""
         first, where = self._trail[0]
         if stamp - first < 0.5 * LIFT_WINDOW:
             return
-        limit *= LANDED if self.lifted else 1.0
-        fast = math.dist(point, where) > limit * (stamp - first)
+        speed = math.dist(point, where) / (stamp - first)
+        fast = speed > ratio * self._pace * (LANDED if self.lifted else 1.0)
+        share = (stamp - self._trail[-2][0]) / (AIR_MEMORY if self.lifted else MEMORY)
+        self._pace *= (max(speed, SLOWEST) / self._pace) ** share
         self._turning = self._turning + 1 if fast != self.lifted else 0
         if self._turning >= AGREEING:
             self.begin_stroke('lift-off' if fast else 'landing')

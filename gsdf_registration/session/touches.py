@@ -87,9 +87,8 @@ class Touches:
             return Answer(False, 'no landmarks are named; set landmarks.names and '
                           'landmarks.positions'), None
         if not self.to_come:
-            return Answer(
-                False, f'all {len(self.config.names)} landmarks are captured; register, or clear '
-                'to begin anew'), None
+            return Answer(False, 'all landmarks are captured; register, or clear '
+                          'to begin anew'), None
         name = self.to_come[0]
         try:
             rest = self.tip.rest(now)

@@ -147,7 +147,7 @@ class Feed:
     @property
     def trouble(self) -> str:
         """Why points have been refused of late, a sentence for each cause; else empty."""
-        told = (source.trouble for source in self._sources.values())
+        told = [source.trouble for source in self._sources.values()] + self._watch.trouble
         return '; '.join(dict.fromkeys(sentence for sentence in told if sentence))
 
     def _start_anew(self, stamp: float, why: str) -> None:
@@ -160,9 +160,10 @@ class Feed:
         source = self._sources.setdefault(sample.source, _Source())
         before, source.stamp = source.stamp, sample.stamp
         if not math.isnan(before - source.pose):
-            # of one clock a pose that came between two points is near to one of them
+            # of one clock a pose that came between two points is between them, or near to one
             apart = min(source.pose - before, source.pose - sample.stamp, key=abs)
-            source.apart = apart if abs(apart) > self._max_age else 0.0
+            between = before <= source.pose <= sample.stamp
+            source.apart = 0.0 if between or abs(apart) <= self._max_age else apart
             source.pose = math.nan
         if not self._carry(source, sample):
             source.waiting.append(sample)

@@ -86,7 +86,7 @@ class Route:
             why = (f'there is no pose on {topic} for the time of the points of {source}: is the '
                    'reference array in view?')
         if self._pose_trouble:
-            why += f' Of its poses {self._left_out} were left out; the last {self._pose_trouble}'
+            why += f' Left out of its poses: {self._left_out}; the last {self._pose_trouble}'
         return Rejection.NO_REFERENCE, why
 
     @property

@@ -45,9 +45,6 @@ class Node:
             self.errors.append(text)
             self.changed.notify_all()
 
-    def info(self, text: str) -> None:
-        pass
-
     def show_soon(self) -> None:
         with self.changed:
             self.changed.notify_all()
@@ -102,6 +99,8 @@ def test_a_pose_follows_from_points_alone(node: Node, session: Session, live: Li
     node.await_that(lambda: live.status.ready)
     assert node.poses[0].stamp == 1e3 + 1189
     assert not node.errors
+    session.clear()     # and before anyone has looked, it is not true any more
+    assert live.status == LiveStatus()
 
 
 def test_points_that_came_in_meanwhile_make_one_pose(node: Node, session: Session,

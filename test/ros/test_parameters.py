@@ -66,6 +66,7 @@ def test_every_setting_is_declared_and_described(client: Client) -> None:
     (Parameter('solver.method', STRING, 'magic'), 'solver.method must be one of mixture, paper'),
     (NAMES, 'in one request'),
     (POSITIONS, 'in one request'),
+    (Parameter('session.path', STRING, ''), 'session.path is empty'),
     (Parameter('probe.topics', STRINGS, ['no topic!']), '"no topic!" is no name of a topic'),
     (Parameter('probe.topics', STRINGS, ['/a', '/a']), '/a is named twice'),
     (Parameter('model.frame_id', STRING, 'other'), 'deactivate and cleanup'),
@@ -176,12 +177,17 @@ def test_the_bone_is_exchanged_while_points_come_in(start_node: StartNode,
         tracker.send(tracker.positions, tracker.steps)
         kept = client.status(received=str(len(tracker.positions)))['kept']
         assert not client.ask('register').success       # it is not this bone
-        assert client.set_parameters(Parameter('model.path', STRING, str(hip))) == ''
+        right = Parameter('model.path', STRING, str(hip))
+        assert 'set model.path alone' in client.set_parameters(right, NAMES, POSITIONS)
+        assert client.set_parameters(right) == ''
         # the services are there at once, not only when the bone is
         assert str(hip) in client.status()['message'] or 'is loaded' in node.log
         client.spin_until(lambda: f'{hip} is loaded' in node.log, 'the bone is not loaded')
         client.spin_until(lambda: 'being loaded' not in client.status()['message'], 'not taken')
-        assert client.status()['kept'] == kept
+        status = client.status()
+        assert status['kept'] == kept
+        assert 'landmarks and targets were those of the bone before' in status['message']
+        assert value_of(client, 'landmarks.names') == []
         answer = client.ask('register')
         assert answer.success, answer.message
 
@@ -216,7 +222,7 @@ def test_a_bone_that_cannot_be_loaded_leaves_the_old_one(start_node: StartNode, 
 @pytest.mark.parametrize('given, complaint', [
     ({'solver.metod': 'paper'}, 'did you mean solver.method?'),
     ({'gate.max_speed': 'fast'}, 'gate.max_speed must be a finite number'),
-    ({'landmarks.names': "['one']"}, 'give x y z for each'),
+    ({'landmarks.names': "['one']"}, 'must hold x y z for each of'),
     ({'probe.topics': "['no topic!']"}, 'is no name of a topic'),
 ], ids=['misspelt', 'wrong type', 'no positions', 'no topic'])
 def test_a_node_does_not_start_on_parameters_it_cannot_use(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from rclpy.parameter import Parameter
 from ros_support import BAG, Client, NodeProcess, Tracker
 
 from msg_adapters import ros
@@ -50,15 +51,19 @@ def test_a_killed_node_goes_on_where_it_was(start_node: StartNode, resuming: dic
         before = client.status(state='registered')
         assert int(before['kept']) > 0.9 * half
         stamp = tracker._stamp
+        assert 'no folder' in client.set_parameters(Parameter('session.path', value='no/s.json'))
+        moved = tmp_path / 'moved.json'     # and the journal with it
+        assert client.set_parameters(Parameter('session.path', value=str(moved))) == ''
     kill(node)
+    assert not journal_path(resuming['session.path']).exists()
 
-    again = start_node('again', **resuming)
+    again = start_node('again', **resuming | {'session.path': moved})
     with Client(again) as client:
         client.await_state('active')
         status = client.status(kept=before['kept'])
         for key in ('received', 'kept', 'strokes', 'landmarks', 'frame_id'):
             assert status[key] == before[key], key
-        assert f'resumed from {tmp_path}/session.json.journal: {before["kept"]} points' in (
+        assert f'resumed from {moved}.journal: {before["kept"]} points' in (
             status['message'])
         assert 'resumed from' in again.log
         tracker = Tracker(client)
@@ -72,7 +77,7 @@ def test_a_killed_node_goes_on_where_it_was(start_node: StartNode, resuming: dic
         tracker.assert_near_truth(ros.pose_from(client.hear(PoseStamped, '~/bone_pose'))[1], STILL)
         kept = client.status(state='registered')['kept']
     kill(again)
-    session, damage = read_journal(journal_path(tmp_path / 'session.json')) or ({}, '')
+    session, damage = read_journal(journal_path(moved)) or ({}, '')
     assert damage == '' and len(session['points']) == int(kept)     # nothing lost, nothing twice
 
 

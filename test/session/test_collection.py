@@ -267,9 +267,10 @@ def test_refill_refuses_what_does_not_fit_and_changes_nothing() -> None:
         assert len(other) == 0
 
 
-def lifted(count: int, arc: int, speed: float, rate: float = RATE) -> np.ndarray:
-    """Return a stroke at ``SPEED``, an arc through the air at ``speed``, and another stroke."""
-    steps = np.repeat([SPEED, speed, SPEED], [count, arc, count])
+def lifted(count: int, arc: int, times: float, rate: float = RATE,
+           speed: float = SPEED) -> np.ndarray:
+    """Return a stroke at ``speed``, m/s, an arc so many times as fast, and another stroke."""
+    steps = np.repeat([speed, times * speed, speed], [count, arc, count])
     noise = np.random.default_rng(0).normal(0.0, 1e-4, (len(steps), 3))
     return noise + np.outer(np.cumsum(steps) / rate, [1.0, 0.0, 0.0])
 
@@ -282,9 +283,11 @@ def strokes_of(positions: np.ndarray, rate: float = RATE, **gate: float) -> np.n
 
 
 @pytest.mark.parametrize('rate', [40.0, 80.0, 1000.0])
-def test_a_tip_that_lifts_off_and_lands_begins_a_stroke_each_time(rate: float) -> None:
-    count, arc = round(2.0 * rate), round(0.6 * rate)
-    strokes = strokes_of(lifted(count, arc, 0.16, rate), rate)
+@pytest.mark.parametrize('speed', [0.015, 0.03, 0.08])
+def test_a_tip_that_lifts_off_and_lands_begins_a_stroke_each_time(rate: float,
+                                                                  speed: float) -> None:
+    count, arc = round(4.0 * rate), round(0.6 * rate)
+    strokes = strokes_of(lifted(count, arc, 6.0, rate, speed), rate)
     assert set(strokes) == {1, 2, 3}
     lag = round(0.2 * rate) + AGREEING
     assert (strokes[:count] == 1).all()
@@ -293,10 +296,24 @@ def test_a_tip_that_lifts_off_and_lands_begins_a_stroke_each_time(rate: float) -
 
 
 def test_a_hand_that_is_not_quick_and_a_short_jerk_do_not_split() -> None:
-    assert set(strokes_of(lifted(200, 40, 0.08))) == {1}
-    assert set(strokes_of(lifted(200, 3, 0.16))) == {1}
-    assert set(strokes_of(lifted(200, 40, 0.16), lift_speed=0.0)) == {1}
-    assert set(strokes_of(lifted(200, 40, 0.16), lift_speed=0.3)) == {1}
+    assert set(strokes_of(lifted(800, 40, 2.0))) == {1}
+    assert set(strokes_of(lifted(800, 2, 4.0))) == {1}
+    assert set(strokes_of(lifted(800, 40, 4.0), lift_ratio=0.0)) == {1}
+    assert set(strokes_of(lifted(800, 40, 4.0), lift_ratio=5.0)) == {1}
+
+
+def test_a_tip_that_rests_and_goes_on_has_not_lifted_off() -> None:
+    drag = lifted(200, 0, 0.0, speed=0.03)
+    rest = np.random.default_rng(1).normal(drag[199], 1e-4, (800, 3))
+    assert set(strokes_of(np.vstack([drag[:200], rest, drag[200:]]))) == {1}
+
+
+def test_who_waves_the_tip_about_before_a_stroke_still_lifts_off_after_it() -> None:
+    turn = 3.0 * np.arange(1600)[:, None] / RATE
+    waved = 0.1 * np.hstack([np.sin(turn), np.cos(turn), 0.0 * turn])   # 0.3 m/s for 20 s
+    strokes = strokes_of(np.vstack([waved, waved[-1] + lifted(400, 60, 6.0, speed=0.03)]))
+    assert len(set(strokes[1600 + 60:1600 + 400])) == 1
+    assert len({strokes[1500], strokes[1600 + 200], strokes[1600 + 440]}) == 3
 
 
 def test_a_wild_point_is_no_lift_off() -> None:
@@ -317,7 +334,7 @@ def test_splitting_loses_no_point(speeds: list[float]) -> None:
 
 def test_undo_says_what_split_the_stroke_off() -> None:
     c = collection()
-    for i, position in enumerate(lifted(200, 40, 0.16)):
+    for i, position in enumerate(lifted(200, 40, 6.0)):
         c.add(i / RATE, position, 'cam')
     drag(c, 10, first=1000)
     c.start_stroke()

@@ -107,21 +107,24 @@ def test_a_follower_knows_what_the_session_holds(field: Field, acts: list[str]) 
     assert not restored.status().outdated
 
 
-def test_another_bone_takes_the_pose_with_it(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_bone_takes_with_it_what_is_true_of_one_only(
+        field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session_module, 'register', registers)
     session, follower = Session(CONFIG), Follower()
     session.listen(follower)
     at: dict[str, float] = {'t': 0.0, 'x': 0.0}
-    for what in ('drag', 'drag'):
+    for what in ('rest', 'landmark', 'drag', 'drag'):
         act(session, what, at, [], field)
     assert follower.replay.session['model_sha256'] is None
     session.set_model(field)
     assert session.register().success
     assert follower.replay.session['pose_result'] is not None
+    assert len(follower.replay.session['landmarks']) == 1
     cube = trimesh.creation.box([0.05] * 3)
     session.set_model(build_field(make_bone(cube.vertices, cube.faces), 0.005))
     assert known(follower.replay.session) == known(session.to_dict())
     assert follower.replay.session['pose_result'] is None
+    assert follower.replay.session['landmarks'] == []
     assert len(follower.replay.session['points']) == 14
 
 

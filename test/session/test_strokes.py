@@ -12,8 +12,8 @@ from gsdf_registration.session.strokes import FEWEST, StrokeReport, interference
 
 def points(strokes: list[int]) -> Points:
     n = len(strokes)
-    return Points(np.zeros((n, 3)), np.arange(n, dtype=float), np.array(strokes, np.int32),
-                  np.zeros(n, np.int32))
+    return Points(np.arange(3.0 * n).reshape(n, 3), np.arange(n, dtype=float),
+                  np.array(strokes, np.int32), np.zeros(n, np.int32))
 
 
 def test_each_stroke_has_its_share_and_its_residual() -> None:
@@ -44,6 +44,16 @@ def test_a_stroke_that_is_all_interference_is_named() -> None:
 def test_stray_points_are_not_on_the_bone_whatever_their_weight() -> None:
     found = report(points([2] * 20), np.full(20, np.nan), np.ones(20))
     assert found[0].interference and found[0].rms_m is None
+
+
+def test_a_stroke_played_twice_is_as_good_as_it_was_once() -> None:
+    once = points([1] * 30)
+    twice = Points(np.tile(once.positions, (2, 1)), np.arange(60.0),
+                   np.repeat(np.array([1, 2], np.int32), 30), np.zeros(60, np.int32))
+    # a repeat is left out of a registration
+    first, again = report(twice, np.r_[np.full(30, 2e-4), np.full(30, np.nan)],
+                          np.r_[np.ones(30), np.zeros(30)])
+    assert again.share_on_bone == first.share_on_bone == 1.0 and again.rms_m == first.rms_m
 
 
 def test_a_few_points_at_its_ends_do_not_save_a_stroke_nor_condemn_one() -> None:

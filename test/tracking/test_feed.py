@@ -162,6 +162,11 @@ def test_a_probe_or_an_array_hidden_for_long_is_not_taken_for_another_clock() ->
          np.r_[everything[:1600], everything[4000:]])
     feed.end()
     assert 'one clock' not in feed.trouble
+    # first the probe goes, then the array; the probe comes back
+    feed, _ = feed_of()
+    play(feed, np.r_[everything[:800], everything[2400:]], everything[:1600])
+    feed.end()
+    assert 'one clock' not in feed.trouble and 'in view' in feed.trouble
 
 
 def test_poses_in_another_frame_than_the_points_are_told_with_both() -> None:
@@ -196,7 +201,7 @@ def test_a_pose_that_is_none_is_told_and_left_out() -> None:
     assert not feed.trouble
     feed.point(tip(1.0 + 8 / 80.0, PLACE))
     feed.end()
-    assert '2 were left out; the last is no rigid motion' in feed.trouble
+    assert 'Left out of its poses: 2; the last is no rigid motion' in feed.trouble
 
 
 def test_points_go_through_the_frames_to_the_camera_and_on_to_the_array() -> None:

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An operator's whole round on a node that is killed in the middle: all that it says is so."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from ros_support import BAG, Client, NodeProcess, Tracker, values
+
+from gsdf_registration.node.qos import LATCHED
+from gsdf_registration.rigid import Array, inverse, transform
+from gsdf_registration.session.touches import Answer
+from msg_adapters import ros
+
+pytestmark = pytest.mark.ros
+StartNode = Callable[..., NodeProcess]
+STILL = np.eye(4)
+ENOUGH = 300        # points of the recording
+WRONG = 0.003       # m, at a landmark; a pose further off should not have been shown
+
+
+class Witness:
+    """Hears all that a node says."""
+
+    def __init__(self, tracker: Tracker, name: str) -> None:
+        self.said: list[dict[str, str]] = []
+        self.misses: list[float] = []
+        self._truth = tracker.truth
+        node = tracker.client.node
+        node.create_subscription(DiagnosticStatus, f'/{name}/status', self._on_status, LATCHED)
+        node.create_subscription(PoseWithCovarianceStamped, f'/{name}/live_pose', self._on_pose,
+                                 QoSProfile(depth=10_000))
+
+    def _on_status(self, status: DiagnosticStatus) -> None:
+        self.said.append({**values(status), 'message': status.message})
+
+    def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
+        T = ros.pose_from(PoseStamped(header=message.header, pose=message.pose.pose))[1]
+        places = self._truth.landmarks_model
+        off = transform(T, places) - transform(self._truth.T_tracker_bone, places)
+        self.misses.append(float(np.linalg.norm(off, axis=1).max()))
+
+    def assert_true(self) -> None:
+        """Look at what was said so far: nothing twice, nothing early, nothing outlived."""
+        assert len(self.misses) > 5 and max(self.misses) < WRONG
+        assert all(now != before for before, now in zip(self.said, self.said[1:]))
+        for status in self.said:
+            kept, message = int(status['kept']), status['message']
+            assert kept > 50 or 'enough' not in message
+            assert kept < 60 or 'too few' not in message
+            assert 'next landmark' not in message or 'drag' not in message
+            assert status['state'] in ('ready', 'registered') or 'register now' not in message
+
+
+def verify(tracker: Tracker, place: Array) -> Answer:
+    """Rest there until that has come through, and return the verdict."""
+    rng = np.random.default_rng(0)
+    answer = Answer(False, 'not verified')
+    while answer.message.startswith('not verified'):
+        tracker.send(place + rng.normal(0.0, 5e-5, (60, 3)))
+        answer = tracker.client.ask('verify')
+    return answer
+
+
+def test_a_whole_round(start_node: StartNode, parameters: dict[str, Any], tmp_path: Path,
+                       hip_surface: tuple[Array, Array]) -> None:
+    given = parameters | {'session.path': tmp_path / 'round.json', 'session.resume': 'true',
+                          'collect.automatic': 'true', 'probe.topics': ['/probe/tip']}
+    node = start_node('round', **given)
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client, ['/probe/tip'])
+        tracker.await_listener()
+        witness = Witness(tracker, 'round')
+        T = tracker.truth.T_tracker_bone
+        assert 'too few' in client.ask('register').message
+        tracker.touch_landmarks(STILL)
+
+        tracker.send(tracker.positions[:ENOUGH], tracker.steps[:ENOUGH])
+        client.status(state='ready')
+        client.collect(True)        # something else than the bone
+        line = np.linspace([0.0, 0.09, 0.06], [0.03, 0.09, 0.06], 80)
+        tracker.send(transform(T, line) + np.random.default_rng(0).normal(0.0, 1e-4, (80, 3)))
+        client.status(received=str(ENOUGH + 230))
+        answer = client.ask('register')
+        assert answer.success and 'none on the bone: interference' in answer.message
+        answer = client.ask('undo')
+        assert answer.success and 'registered anew without it' in answer.message
+        assert 'stands' not in answer.message and 'interference' not in answer.message
+
+        surface = trimesh.Trimesh(*hip_surface, process=False)
+        row = surface.kdtree.query(transform(inverse(T), tracker.positions[50]))[1]
+        place, normal = surface.vertices[row], surface.vertex_normals[row]
+        answer = verify(tracker, transform(T, place))
+        assert answer.success, answer.message
+        answer = verify(tracker, transform(T, place + 0.006 * normal))
+        assert not answer.success and 'beyond the 2.0 mm' in answer.message
+        answer = verify(tracker, transform(T, place) + [0.0, 0.0, 0.003])
+        assert not answer.success and 'was the array bumped?' in answer.message
+        assert client.ask('save').success
+        before = client.status(state='registered')
+        found = ros.pose_from(client.hear(PoseStamped, '~/bone_pose'))[1]
+        witness.assert_true()
+        assert len([1 for line in node.log.splitlines() if 'register now' in line]) == 1
+        stamp = tracker._stamp
+        tracker.send(tracker.positions[ENOUGH:], tracker.steps[ENOUGH:])    # in the middle of it
+    node.process.send_signal(signal.SIGKILL)
+    node.process.wait()
+    assert 'Traceback' not in node.log
+
+    node = start_node('round', **given)
+    with Client(node) as client:
+        client.await_state('active')
+        status = client.status(pose='in tracker')
+        assert int(status['kept']) >= int(before['kept'])
+        assert status['verification'] == before['verification'] and status['landmarks'] == '3'
+        again = ros.pose_from(client.hear(PoseStamped, '~/bone_pose'))[1]
+        np.testing.assert_allclose(again, found, atol=1e-9)
+        tracker = Tracker(client, ['/probe/tip'])
+        tracker._stamp = stamp + 60.0
+        assert client.ask('register').success
+        # of another bone neither pose nor landmarks are taken over, and it is not found
+        femur = str(BAG.parent / 'femur.ply')
+        assert client.set_parameters(Parameter('model.path', value=femur)) == ''
+        client.status(pose='none', landmarks='0')
+        answer = client.ask('register')
+        assert not answer.success and 'kept' not in answer.message
+        assert 'belongs to another bone' in client.ask('load').message
+        assert 'Traceback' not in node.log

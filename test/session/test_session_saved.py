@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session that is saved and taken up again."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from potato import CONFIG, LANDMARKS, T_TRACKER_BONE, bone, hold, registered
+
+from gsdf_registration.field import Field
+from gsdf_registration.result import InputError, Reason, RegistrationResult
+from gsdf_registration.rigid import transform
+from gsdf_registration.session import Session
+from gsdf_registration.session import session as session_module
+
+
+def test_a_session_survives_json(field: Field) -> None:
+    session = registered(field)
+    hold(session, transform(T_TRACKER_BONE, LANDMARKS[0]), 1000.0)
+    session.verify()
+    record = json.loads(json.dumps(session.to_dict(), allow_nan=False))
+    assert record['parameters'] == CONFIG.flat() and record['model_sha256'] == field.bone_sha256
+    assert len(record['verifications']) == 1
+    other = Session(CONFIG, field)
+    other.restore(record)
+    assert all(np.array_equal(a, b) for a, b in zip(other.points(), session.points()))
+    before, after = session.status(), other.status()
+    for name in ('state', 'received', 'kept', 'rejected', 'strokes', 'landmarks', 'frame_id',
+                 'pose_frame_id'):
+        assert getattr(before, name) == getattr(after, name), name
+    assert np.array_equal(after.pose_result.T_tracker_bone, before.pose_result.T_tracker_bone)
+    assert np.array_equal(after.pose_result.covariance, before.pose_result.covariance)
+    assert json.loads(json.dumps(other.to_dict())) == record
+    assert np.array_equal(other.register().T_tracker_bone, session.register().T_tracker_bone)
+
+
+def test_what_is_not_known_is_null_and_comes_back(field: Field,
+                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    result = RegistrationResult(Reason.CONVERGED,
+                                'found',
+                                T_tracker_bone=np.eye(4),
+                                sigma_m=float('nan'))
+    monkeypatch.setattr(session_module, 'register', lambda *_, **__: result)
+    session = Session(CONFIG, field)
+    session.register()
+    record = json.loads(json.dumps(session.to_dict(), allow_nan=False))
+    session.restore(record)
+    assert session.status().result == dataclasses.replace(
+        result, sigma_m=None, T_tracker_bone=session.status().result.T_tracker_bone)
+
+
+def test_a_session_of_another_bone_is_refused(field: Field) -> None:
+    record = registered(field).to_dict()
+    with pytest.raises(InputError, match='another bone'):
+        Session(CONFIG, bone(width=0.035)).restore(record)
+    with pytest.raises(InputError, match='load the bone model'):
+        Session(CONFIG).restore(record)
+    with pytest.raises(InputError, match='no bone model'):
+        Session(CONFIG).to_dict()
+
+
+@pytest.mark.parametrize('damage', [
+    lambda r: r.pop('points'), lambda r: r['points'][0].pop(),
+    lambda r: r['points'][0].__setitem__(0, 0), lambda r: r['points'][0].__setitem__(1, 1),
+    lambda r: r['landmarks'][0].pop('model'),
+    lambda r: r['landmarks'][0].update(tracker=[1.0, 2.0]),
+    lambda r: r.update(result={'reason': 'magic'}), lambda r: r.update(landmarks=7),
+    lambda r: r['points'][0].__setitem__(3, None), lambda r: r['points'].append(None),
+    lambda r: r['points'].append([1, 2]), lambda r: r.update(points=[1.0] * 16),
+    lambda r: r['pose_result'].update(T_tracker_bone=[[1.0]]),
+    lambda r: r['result'].update(T_tracker_bone=None),
+    lambda r: r['pose_result'].update(covariance=[1.0])
+])
+def test_a_damaged_session_is_refused_and_changes_nothing(field: Field,
+                                                          damage: Callable[[Any], Any]) -> None:
+    session = registered(field)
+    record = copy.deepcopy(json.loads(json.dumps(session.to_dict())))
+    damage(record)
+    before = session.status()
+    with pytest.raises(InputError, match='damaged'):
+        session.restore(record)
+    assert session.status() == before
