@@ -173,10 +173,10 @@ def page(table: list[Row]) -> str:
         'node is configured and refused otherwise. A change of `model.path`, `model.unit` or '
         '`model.voxel_size` loads the bone beside the running session: until it is there, and if '
         'it cannot be had, the one in use is kept. Points stay; landmarks and targets are those of '
-        'one bone, and with another they are dropped and must be named anew. With `session.path` '
-        'the journal goes along. `collect.automatic` counts at activation. A request is carried '
-        'out as a whole or refused as a whole with a sentence. Names and positions change '
-        'together, in one request of `~/set_parameters_atomically`:', '',
+        'one bone: name those of the other in the same request, or they are dropped. With '
+        '`session.path` the journal goes along. `collect.automatic` counts at activation. A '
+        'request is carried out as a whole or refused as a whole with a sentence. Names and '
+        'positions change together, in one request of `~/set_parameters_atomically`:', '',
         '```', *_pair_example(), '```', '',
         '| parameter | type | default | range | meaning |', '|---|---|---|---|---|',
         *_parameters(), ''])

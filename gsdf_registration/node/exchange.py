@@ -25,7 +25,8 @@ class BoneExchange:
     Loads the bone that ``model.*`` name from now on.
 
     Until it is there, and if it cannot be had, the old one stays; the points stay in any case.
-    What is named on a bone, landmarks and targets, is not on another.
+    What is named on a bone, landmarks and targets, is not on another: it is replaced by what the
+    request names, or dropped.
     """
 
     def __init__(self, node: RegistrationNode) -> None:
@@ -33,6 +34,9 @@ class BoneExchange:
         self._node = node
         self._worker = Worker()
         self._model = ModelConfig()     # of the bone in use
+        # what the request names, and what of it is on the bone being loaded if that is another
+        self._given: dict[str, list[Any]] = {}
+        self._coming: dict[str, list[Any]] = {}
 
     def use(self, model: ModelConfig) -> None:
         """Know that the bone of these settings is in use."""
@@ -52,14 +56,10 @@ class BoneExchange:
         if self._node.state not in ('inactive', 'active'):
             return False    # a node that is configured later loads it then
         other = model != self._model
-        if (self._worker.busy or other and self._model.path) and (
-                _named(config) != _named(self._node.config)):
-            raise InputError('landmarks and targets are named on a bone that is in use; set '
-                             'model.path alone, and them when ~/status says that it is')
+        if self._worker.busy and (other or _named(config) != _named(self._node.config)):
+            raise InputError('a bone is being loaded; wait until ~/status no longer says so')
         if not other:
             return False
-        if self._worker.busy:
-            raise InputError('a bone is being loaded; wait until ~/status no longer says so')
         if not model.path:
             if self._model.path:
                 raise InputError('a bone is in use, and points may be registered to it; call the '
@@ -68,6 +68,18 @@ class BoneExchange:
         if not find_model(model.path).is_file():
             raise InputError(f'{model.path}: there is no such file; the bone in use is kept')
         return True
+
+    def until_then(self, config: Config) -> Config:
+        """Return ``config`` with what is named on the bone in use, and keep what it names."""
+        before, given = _named(self._node.config), _named(config)
+        self._given, self._coming = given, {name: [] for name in given}
+        for section in ('landmarks', 'targets'):
+            pair = [f'{section}.names', f'{section}.positions']
+            if any(given[name] != before[name] for name in pair):
+                self._coming |= {name: given[name] for name in pair}
+        known = self._coming['landmarks.names'] + self._coming['targets.names']
+        self._coming['guidance.near'] = [name for name in given['guidance.near'] if name in known]
+        return config.replaced(before) if self._model.path else config
 
     def begin(self) -> None:
         """Load the bone that the node's settings name."""
@@ -97,22 +109,23 @@ class BoneExchange:
         else:
             # a node that was cleaned up meanwhile reads its settings when it is configured again
             if field is not None and node.state in ('inactive', 'active'):
-                self.use(config.model)
+                self._model = config.model
                 if node.take_bone(field):
-                    self._unname()
+                    self._name_anew()
+                else:
+                    self._set(self._given)
+                self.notice = ''
         node.show()
 
-    def _unname(self) -> None:
-        """Forget what is named on the bone before, in the parameters too, and say so."""
-        node, named = self._node, _named(self._node.config)
+    def _name_anew(self) -> None:
+        """Go on with what is named on the bone taken, and say so if that is less than before."""
+        node, before = self._node, _named(self._node.config)
         words = f'{node.config.model.path} is in use'
-        if any(named.values()):
-            known = dict(settings())
-            node.set_parameters_atomically([
-                Parameter(name, parameter_type(known[name]), []) for name in named])
+        if any(before[name] and not self._coming[name] for name in before):
             words += ('; landmarks and targets were those of the bone before and are dropped: name '
                       'them on this one')
             node.get_logger().warning(words)
+        self._set(self._coming)
         node.session.remark(words)
 
     def _keep(self, error: InputError) -> None:
@@ -123,11 +136,16 @@ class BoneExchange:
         notice = f'{error.message}{hint}; the bone in use is kept'
         node.get_logger().error(notice)
         if node.state in ('inactive', 'active'):
-            node.set_parameters_atomically([
-                Parameter(f'model.{name}', value=value)
-                for name, value in dataclasses.asdict(self._model).items()])
+            self._set({f'model.{name}': value for name, value in
+                       dataclasses.asdict(self._model).items()} | _named(node.config))
             self.notice = ''
             node.session.remark(notice)
+
+    def _set(self, values: dict[str, Any]) -> None:
+        """Have the parameters say this, as if it had been asked for."""
+        known = dict(settings())
+        self._node.set_parameters_atomically([
+            Parameter(name, parameter_type(known[name]), value) for name, value in values.items()])
 
 
 def _named(config: Config) -> dict[str, list[Any]]:

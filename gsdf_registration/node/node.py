@@ -257,6 +257,8 @@ class RegistrationNode(LifecycleNode):
     def _change(self, config: Config) -> None:
         other_bone = self._exchange.wanted(config)
         check_path(config.session, self.config.session)
+        if other_bone:
+            config = self._exchange.until_then(config)
         self.session.configure(config)
         before, self.config = self.config, config
         self._journal = follow(self.session, self._journal, config.session, self.get_logger())
