@@ -56,11 +56,11 @@ def on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
 
 def once_on_strokes(points: Array, radius: float) -> NDArray[np.bool_]:
     """
-    Tell which points (n, 3) a registration uses: those `on_strokes`, the `first_of_each`.
+    Tell which points (n, 3) a registration uses: those `on_strokes`, each once.
 
     The rest is strewn interference or a reading repeated.
     """
-    return np.asarray(on_strokes(points, radius) & first_of_each(points))
+    return np.asarray(on_strokes(points, radius) & (first_like(points) == np.arange(len(points))))
 
 
 def _least_neighbours(neighbours: NDArray[np.intp]) -> int:
@@ -182,12 +182,10 @@ def _one_a_cube(points: Array, edge: float) -> tuple[NDArray[np.intp], NDArray[n
     return order[np.r_[True, np.diff(cube[order]) > 0]], cube
 
 
-def first_of_each(points: Array) -> NDArray[np.bool_]:
-    """
-    Tell which of the points (n, 3) are not exact repeats of earlier ones.
-
-    A reading repeated adds nothing.
-    """
-    first = np.zeros(len(points), dtype=bool)
-    first[np.unique(points, axis=0, return_index=True)[1]] = True
-    return first
+def first_like(points: Array) -> NDArray[np.intp]:
+    """Return of each of the points (n, 3) the index of the first that is exactly the same."""
+    x = np.sort(points[:, 0])
+    if not (x[1:] == x[:-1]).any():     # as a rule, and soon seen
+        return np.arange(len(points))
+    _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(first[same.ravel()])

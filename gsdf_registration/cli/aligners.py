@@ -49,7 +49,7 @@ def warm(bone: Field) -> Aligner:
         turn = rigid.from_rt(rigid.rotation_exp(np.radians(WARM_TURN) * axis), WARM_SHIFT * way)
         about = rigid.from_rt(np.eye(3), points.mean(axis=0))
         moved = known.T_bone_tracker @ about @ turn @ rigid.inverse(about)
-        known = dataclasses.replace(known, T_settled=moved)
+        known = dataclasses.replace(known, T_bone_tracker=moved)
         start = perf_counter()
         solution = refine(points, bone, known, config, neighbours)
         return solution.T_bone_tracker, solution.iterations, perf_counter() - start

@@ -46,11 +46,11 @@ class WarmPose:
         self._T_of_neighbours = self.solution.T_bone_tracker
         self._neighbourhood = Neighbourhood(self.points, self._field, self._T_of_neighbours,
                                             self._config.solver.neighbours)
-        self._solve()
+        self._solve(carry=False)
 
-    def _solve(self) -> None:
+    def _solve(self, carry: bool) -> None:
         self.solution = refine(self.points, self._field, self.solution, self._config.solver,
-                               self._neighbourhood.indices)
+                               self._neighbourhood.indices, carry)
 
     def add(self, points: Array) -> None:
         """
@@ -70,7 +70,7 @@ class WarmPose:
         self._neighbourhood.add(joining)
         if len(self.points) - len(self.solution.weights) < FEW * len(self.points):
             return
-        self._solve()
+        self._solve(carry=True)
         if self._moved() > MOVED:
             self._settle()
         if self.confidence is not None:

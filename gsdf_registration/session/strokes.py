@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gsdf_registration.density import first_like
 from gsdf_registration.result import ON_BONE
 from gsdf_registration.rigid import Array
 from gsdf_registration.session.collection import Points
@@ -55,8 +56,8 @@ def report(points: Points, residuals: Array, weights: Array) -> list[StrokeRepor
 
     """
     # a reading repeated is not used again, and as good as it was the first time
-    _, first, same = np.unique(points.positions, axis=0, return_index=True, return_inverse=True)
-    weights, residuals = weights[first][same.ravel()], residuals[first][same.ravel()]
+    first = first_like(points.positions)
+    weights, residuals = weights[first], residuals[first]
     on_bone = (weights > ON_BONE) & np.isfinite(residuals)
     numbers, stroke = np.unique(points.strokes, return_inverse=True)
     total = np.bincount(stroke, minlength=len(numbers))

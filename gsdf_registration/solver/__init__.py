@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gsdf_registration import rigid
 from gsdf_registration.config import SolverConfig
 from gsdf_registration.field import Field
 from gsdf_registration.result import Iteration
@@ -48,11 +49,11 @@ class Solution:
     Where a solver ended, and why.
 
     T_bone_tracker : (4, 4) float, metres
-    T_settled : (4, 4) float, metres, where the iterations ended, before the last step of the
-        mixture; to go on from
+    step : (4, 4) float, metres, the last step of the mixture, a small motion of the bone frame from
+        where its iterations ended
     weights : (n,) float in [0, 1], how much each point bears
     residuals : (n,) float, metres, signed distance of each point at the pose, less what noise makes
-        of it on average; NaN where it was discarded before
+        of it on average if the last step was taken; NaN where it was discarded before
     precision : (n,) float, the mean noise over that along the normal of each point
     jacobian : (n, 6) float, d residual / d [rotation about the centroid of the points,
         translation], bone axes
@@ -69,7 +70,7 @@ class Solution:
     """
 
     T_bone_tracker: Array
-    T_settled: Array
+    step: Array
     weights: Array
     residuals: Array
     precision: Array
@@ -127,28 +128,32 @@ def refine(points: Array,
            field: Field,
            previous: Solution,
            config: SolverConfig,
-           neighbours: NDArray[np.int64] | None = None) -> Solution:
+           neighbours: NDArray[np.int64] | None = None,
+           carry: bool = True) -> Solution:
     """
     Return the local solution from a previous one, as for points that go on coming in.
 
-    It begins with what was estimated there: nothing has to cool down, so a few rounds do. It ends
-    where `solve` would from that pose with these neighbours.
+    It begins with what was estimated there: nothing has to cool down, so a few rounds do. It
+    settles where `solve` would from that pose with these neighbours.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, tracker frame; more or fewer than before
     field : of the bone
-    previous : of `solve` or `refine`; its ``T_settled`` off by no more than some of its scatter
+    previous : of `solve` or `refine`; off by no more than some of its scatter
     config : settings of the method that it was found by
     neighbours : (n, k) int of the points, if known already
+    carry : whether the last step is that of ``previous``, which a few more points hardly change and
+        which spares a third of the time; else it is taken anew
 
     """
     if previous.estimates is None:
-        return _paper(points, field, previous.T_settled, config, False)
+        return _paper(points, field, previous.T_bone_tracker, config, False)
+    settled = rigid.inverse(previous.step) @ previous.T_bone_tracker
     if neighbours is None:
-        neighbours = nearest_neighbours(points, field, previous.T_settled, config.neighbours)
-    return _mixture(points, neighbours, field, previous.T_settled, config, False,
-                    previous.estimates, previous.exact, True)
+        neighbours = nearest_neighbours(points, field, settled, config.neighbours)
+    return _mixture(points, neighbours, field, settled, config, False, previous.estimates,
+                    previous.exact, True, previous.step if carry else None)
 
 
 def _mixture(points: Array,
@@ -159,8 +164,9 @@ def _mixture(points: Array,
              history: bool,
              estimates: Estimates,
              exact: bool,
-             strict: bool) -> Solution:
-    """Return the solution of `expectation_maximization`."""
+             strict: bool,
+             step: Array | None = None) -> Solution:
+    """Return the solution of `expectation_maximization`, with that last ``step`` or its own."""
     centred, centre, R, t = _about_centroid(points, T_bone_tracker)
     weight, curvature, e = np.zeros((3, len(points)))
     J = np.zeros((len(points), 6))
@@ -169,10 +175,12 @@ def _mixture(points: Array,
         field.arrays, centred, R, t, neighbours, weight, curvature, e, J, steps, found, strict,
         exact, COOLING, config.reach, config.tolerance)
     settled, precision = _pose(centre, R, t), np.ones(len(points))
-    if ended != gauss_newton.SINGULAR:
-        last_step(field.arrays, centred, R, t, weight, found[0], e, J, precision)
-    return _solution(_pose(centre, R, t), settled, weight, e, precision, J, curvature, fits,
-                     likelihood, ended, steps[:rounds], history, Estimates(*found.tolist()))
+    if step is None:
+        if ended != gauss_newton.SINGULAR:
+            last_step(field.arrays, centred, R, t, weight, found[0], e, J, precision)
+        step = _pose(centre, R, t) @ rigid.inverse(settled)
+    return _solution(step @ settled, step, weight, e, precision, J, curvature, fits, likelihood,
+                     ended, steps[:rounds], history, Estimates(*found.tolist()))
 
 
 def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
@@ -188,9 +196,8 @@ def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverCon
     e[~keep] = np.nan
     # d(w e)/de of the Cauchy weight
     curvature = np.where(keep, weight * (2.0 * weight - 1.0), 0.0)
-    T = _pose(centre, R, t)
-    return _solution(T, T, weight, e, np.ones(len(points)), J, curvature, False,
-                     float(weight.sum()), ended, steps[:rounds], history)
+    return _solution(_pose(centre, R, t), np.eye(4), weight, e, np.ones(len(points)), J, curvature,
+                     False, float(weight.sum()), ended, steps[:rounds], history)
 
 
 def _about_centroid(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array, Array]:
@@ -207,11 +214,11 @@ def _pose(centre: Array, R: Array, t: Array) -> Array:
     return T
 
 
-def _solution(T: Array, settled: Array, weight: Array, e: Array, precision: Array, J: Array,
+def _solution(T: Array, step: Array, weight: Array, e: Array, precision: Array, J: Array,
               curvature: Array, exact: bool, score: float, ended: int, steps: Array,
               history: bool, estimates: Estimates | None = None) -> Solution:
     return Solution(
-        T, settled, weight, e, precision, J, curvature, exact, score,
+        T, step, weight, e, precision, J, curvature, exact, score,
         ended == gauss_newton.SETTLED, gauss_newton.TERMINATION[ended], len(steps), estimates,
         tuple(
             Iteration(cost, turn, shift, int(used))
