@@ -16,7 +16,7 @@ from rclpy.timer import Timer
 
 from gsdf_registration.config import Config
 from gsdf_registration.node import transforms
-from gsdf_registration.node.qos import POINTS
+from gsdf_registration.node.qos import POINTS, UNWATCHED_POINTS
 from gsdf_registration.result import InputError
 from gsdf_registration.rigid import Array
 from gsdf_registration.session.collection import Rejection
@@ -87,7 +87,8 @@ class Inputs:
                     return
                 take(*waiting)
         on_message: Any = take_all      # of two arguments, which rclpy takes but does not say
-        subscription = self._node.create_subscription(kind, topic, on_message, POINTS)
+        subscription = self._node.create_subscription(kind, topic, on_message, POINTS,
+                                                      event_callbacks=UNWATCHED_POINTS)
         self._subscribed.append(subscription)
 
     def destroy(self) -> None:

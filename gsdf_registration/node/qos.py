@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 # Late joiners get the last message: poses, status, points, markers.
@@ -16,6 +16,7 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
 POINTS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT,
                     durability=DurabilityPolicy.VOLATILE)
 
-# Of a publisher that every subscriber matches. rclpy would watch for those that do not, and look
+# Of what matches whoever is at the other end. rclpy would watch for those that do not, and look
 # after that with every point that comes in: a third of what hearing it costs.
 UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
+UNWATCHED_POINTS = SubscriptionEventCallbacks(use_default_callbacks=False)
