@@ -177,9 +177,11 @@ def _one_a_cube(points: Array, edge: float) -> tuple[NDArray[np.intp], NDArray[n
     """Return a point of each cube along the points' own axes, and the cube of each point."""
     place = transform(own_axes(points), points) / edge
     cell = np.floor(place)
-    cube = np.unique(cell.astype(np.int64), axis=0, return_inverse=True)[1].ravel()
-    order = np.lexsort((((place - cell - 0.5)**2).sum(axis=1), cube))
-    return order[np.r_[True, np.diff(cube[order]) > 0]], cube
+    order = np.lexsort((((place - cell - 0.5)**2).sum(axis=1), *cell.T[::-1]))
+    first = np.r_[True, (cell[order[1:]] != cell[order[:-1]]).any(axis=1)]
+    cube = np.empty(len(points), dtype=np.intp)
+    cube[order] = np.cumsum(first) - 1
+    return order[first], cube
 
 
 def first_like(points: Array) -> NDArray[np.intp]:
