@@ -34,9 +34,7 @@ class BoneExchange:
         self._node = node
         self._worker = Worker()
         self._model = ModelConfig()     # of the bone in use
-        # what the request names, and what of it is on the bone being loaded if that is another
-        self._given: dict[str, list[Any]] = {}
-        self._coming: dict[str, list[Any]] = {}
+        self._given: dict[str, list[Any]] = {}      # what the request names, old and new
 
     def use(self, model: ModelConfig) -> None:
         """Know that the bone of these settings is in use."""
@@ -71,15 +69,8 @@ class BoneExchange:
 
     def until_then(self, config: Config) -> Config:
         """Return ``config`` with what is named on the bone in use, and keep what it names."""
-        before, given = _named(self._node.config), _named(config)
-        self._given, self._coming = given, {name: [] for name in given}
-        for section in ('landmarks', 'targets'):
-            pair = [f'{section}.names', f'{section}.positions']
-            if any(given[name] != before[name] for name in pair):
-                self._coming |= {name: given[name] for name in pair}
-        known = self._coming['landmarks.names'] + self._coming['targets.names']
-        self._coming['guidance.near'] = [name for name in given['guidance.near'] if name in known]
-        return config.replaced(before) if self._model.path else config
+        self._given = _named(config)
+        return config.replaced(_named(self._node.config)) if self._model.path else config
 
     def begin(self) -> None:
         """Load the bone that the node's settings name."""
@@ -120,12 +111,13 @@ class BoneExchange:
     def _name_anew(self) -> None:
         """Go on with what is named on the bone taken, and say so if that is less than before."""
         node, before = self._node, _named(self._node.config)
+        coming = _of_another(before, self._given)
         words = f'{node.config.model.path} is in use'
-        if any(before[name] and not self._coming[name] for name in before):
+        if any(before[name] and not coming[name] for name in before):
             words += ('; landmarks and targets were those of the bone before and are dropped: name '
                       'them on this one')
             node.get_logger().warning(words)
-        self._set(self._coming)
+        self._set(coming)
         node.session.remark(words)
 
     def _keep(self, error: InputError) -> None:
@@ -153,3 +145,15 @@ def _named(config: Config) -> dict[str, list[Any]]:
     flat = config.flat()
     return {name: flat[name] for name in ('landmarks.names', 'landmarks.positions', 'targets.names',
                                           'targets.positions', 'guidance.near')}
+
+
+def _of_another(before: dict[str, list[Any]], given: dict[str, list[Any]]) -> dict[str, list[Any]]:
+    """Return what of ``given`` is named on another bone: what is not as it was ``before``."""
+    coming: dict[str, list[Any]] = {name: [] for name in given}
+    for section in ('landmarks', 'targets'):
+        pair = [f'{section}.names', f'{section}.positions']
+        if any(given[name] != before[name] for name in pair):
+            coming |= {name: given[name] for name in pair}
+    known = coming['landmarks.names'] + coming['targets.names']
+    coming['guidance.near'] = [name for name in given['guidance.near'] if name in known]
+    return coming

@@ -192,10 +192,11 @@ class RegistrationNode(LifecycleNode):
 
     def start_anew(self, why: str) -> None:
         """Begin a new session without being asked, and say why."""
+        words = f'a new session was begun, for {why}'
         self.session.clear()
-        self.session.remark(f'a new session was begun, for {why}')
+        self.session.remark(words)
         self.live.wake()
-        self.get_logger().warning(f'a new session was begun, for {why}', throttle_duration_sec=0.2)
+        self.get_logger().warning(words, throttle_duration_sec=0.2)
         self.show()
 
     def _tick(self) -> None:

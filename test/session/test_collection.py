@@ -7,30 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from dragging import RATE, collection, drag, path, two_strokes, undone
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.config import GateConfig
 from gsdf_registration.result import InputError
-from gsdf_registration.session.collection import AGREEING, FIRST_ROOM, Collection, Rejection
-
-RATE = 80.0
-SPEED = 0.05    # m/s, of the tip in these tests
-
-
-def collection(max_points: int = 10_000, frame_id: str = '', **gate: float) -> Collection:
-    made = Collection(GateConfig(**gate), max_points, frame_id)
-    made.start_stroke()
-    return made
-
-
-def path(index: int) -> tuple[float, float, float]:
-    """Return a tip that moves on a line."""
-    return (SPEED * index / RATE, 0.0, -1.0)
-
-
-def drag(target: Collection, count: int, first: int = 0, source: int = 0) -> list[Rejection | None]:
-    return [target.add((first + i) / RATE, path(first + i), 'cam', source) for i in range(count)]
+from gsdf_registration.session.collection import AGREEING, FIRST_ROOM, Rejection
 
 
 def test_sound_points_are_kept_as_they_are() -> None:
@@ -41,13 +23,6 @@ def test_sound_points_are_kept_as_they_are() -> None:
     assert np.array_equal(points.stamps, np.arange(100) / RATE)
     assert set(points.strokes) == {1} and set(points.sources) == {0}
     assert (c.received, len(c), c.strokes, c.frame_id) == (100, 100, 1, 'cam')
-
-
-def undone(target: Collection) -> int:
-    """Undo, and return the number of points that were dropped."""
-    stroke = target.undo()
-    assert stroke is not None
-    return stroke.points
 
 
 @pytest.mark.parametrize('position', [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0),
@@ -209,10 +184,7 @@ def test_a_resting_tip_is_no_silence() -> None:
 
 
 def test_undo_drops_the_stroke_begun_last() -> None:
-    c = collection()
-    drag(c, 10)
-    c.start_stroke()
-    drag(c, 7, first=10)
+    c = two_strokes(10, 7)
     assert undone(c) == 7
     assert np.array_equal(c.arrays().positions, [path(i) for i in range(10)])
     drag(c, 5, first=20)        # the one that goes on after it is a new one
@@ -267,83 +239,6 @@ def test_refill_refuses_what_does_not_fit_and_changes_nothing() -> None:
         assert len(other) == 0
 
 
-def lifted(count: int, arc: int, times: float, rate: float = RATE,
-           speed: float = SPEED) -> np.ndarray:
-    """Return a stroke at ``speed``, m/s, an arc so many times as fast, and another stroke."""
-    steps = np.repeat([speed, times * speed, speed], [count, arc, count])
-    noise = np.random.default_rng(0).normal(0.0, 1e-4, (len(steps), 3))
-    return noise + np.outer(np.cumsum(steps) / rate, [1.0, 0.0, 0.0])
-
-
-def strokes_of(positions: np.ndarray, rate: float = RATE, **gate: float) -> np.ndarray:
-    c = collection(**gate)
-    for i, position in enumerate(positions):
-        assert c.add(i / rate, position, 'cam') is None
-    return c.arrays().strokes
-
-
-@pytest.mark.parametrize('rate', [40.0, 80.0, 1000.0])
-@pytest.mark.parametrize('speed', [0.015, 0.03, 0.08])
-def test_a_tip_that_lifts_off_and_lands_begins_a_stroke_each_time(rate: float,
-                                                                  speed: float) -> None:
-    count, arc = round(4.0 * rate), round(0.6 * rate)
-    strokes = strokes_of(lifted(count, arc, 6.0, rate, speed), rate)
-    assert set(strokes) == {1, 2, 3}
-    lag = round(0.2 * rate) + AGREEING
-    assert (strokes[:count] == 1).all()
-    assert (strokes[count + lag:count + arc] == 2).all()
-    assert (strokes[count + arc + lag:] == 3).all()
-
-
-def test_a_hand_that_is_not_quick_and_a_short_jerk_do_not_split() -> None:
-    assert set(strokes_of(lifted(800, 40, 2.0))) == {1}
-    assert set(strokes_of(lifted(800, 2, 4.0))) == {1}
-    assert set(strokes_of(lifted(800, 40, 4.0), lift_ratio=0.0)) == {1}
-    assert set(strokes_of(lifted(800, 40, 4.0), lift_ratio=5.0)) == {1}
-
-
-def test_a_tip_that_rests_and_goes_on_has_not_lifted_off() -> None:
-    drag = lifted(200, 0, 0.0, speed=0.03)
-    rest = np.random.default_rng(1).normal(drag[199], 1e-4, (800, 3))
-    assert set(strokes_of(np.vstack([drag[:200], rest, drag[200:]]))) == {1}
-
-
-def test_who_waves_the_tip_about_before_a_stroke_still_lifts_off_after_it() -> None:
-    turn = 3.0 * np.arange(1600)[:, None] / RATE
-    waved = 0.1 * np.hstack([np.sin(turn), np.cos(turn), 0.0 * turn])   # 0.3 m/s for 20 s
-    strokes = strokes_of(np.vstack([waved, waved[-1] + lifted(400, 60, 6.0, speed=0.03)]))
-    assert len(set(strokes[1600 + 60:1600 + 400])) == 1
-    assert len({strokes[1500], strokes[1600 + 200], strokes[1600 + 440]}) == 3
-
-
-def test_a_wild_point_is_no_lift_off() -> None:
-    positions = lifted(200, 0, 0.0)
-    positions[100, 1] += 0.011       # not quite too fast
-    assert set(strokes_of(positions)) == {1}
-
-
-@settings(deadline=None, max_examples=30)
-@given(st.lists(st.floats(0.0, 0.9), max_size=8))
-def test_splitting_loses_no_point(speeds: list[float]) -> None:
-    positions = np.outer(np.cumsum(np.repeat(speeds, 30)) / RATE, [1.0, 0.0, 0.0])
-    c = collection()
-    kept = [c.add(i / RATE, p, 'cam') in (None, Rejection.DUPLICATE)
-            for i, p in enumerate(positions)]
-    assert all(kept) and c.received == len(c) + c.counts['duplicate']
-
-
-def test_undo_says_what_split_the_stroke_off() -> None:
-    c = collection()
-    for i, position in enumerate(lifted(200, 40, 6.0)):
-        c.add(i / RATE, position, 'cam')
-    drag(c, 10, first=1000)
-    c.start_stroke()
-    drag(c, 10, first=1010)
-    parts = [c.undo() for _ in range(5)]
-    assert [part and part.split_by for part in parts] == ['', 'silence', 'landing', 'lift-off', '']
-    assert c.undone == 460 and c.undo() is None
-
-
 def test_what_a_resting_tip_delivered_is_taken_out_and_held_back_until_it_leaves() -> None:
     c = collection()
     drag(c, 40)
@@ -363,10 +258,7 @@ def test_what_a_resting_tip_delivered_is_taken_out_and_held_back_until_it_leaves
 
 
 def test_a_stroke_that_was_all_rest_is_gone() -> None:
-    c = collection()
-    drag(c, 10)
-    c.start_stroke()
-    drag(c, 10, first=10)
+    c = two_strokes(10, 10)
     assert c.withdraw(0, 10 / RATE, path(15), 0.1) == 10
     assert c.strokes == 1 and undone(c) == 10 and c.undo() is None
 
