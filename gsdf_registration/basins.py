@@ -18,7 +18,12 @@ from gsdf_registration.config import Config, SolverConfig
 from gsdf_registration.field import Field
 from gsdf_registration.result import Cancelled
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import Solution, nearest_neighbours, solve
+from gsdf_registration.solver import (
+    Solution,
+    allow_for_model_error,
+    nearest_neighbours,
+    solve,
+)
 from gsdf_registration.solver.consensus import SCATTER, consensus
 from gsdf_registration.solver.mixture import patch_likelihood
 
@@ -72,6 +77,8 @@ def choose(solutions: Sequence[Solution], points: Array, field: Field,
     """
     Return the solution of the highest rank, and how near the others come.
 
+    An error of the model is allowed for in it, if one is seen.
+
     Parameters
     ----------
     solutions : one or more, of the same points
@@ -92,7 +99,8 @@ def choose(solutions: Sequence[Solution], points: Array, field: Field,
             found.append(placed[k])
             rivals.append(Rival(solutions[k - 1].T_bone_tracker, likelihood[0] - likelihood[k],
                                 float(cost[k] / max(cost[0], 1e-12))))
-    return Choice(best, residuals[0], rivals)
+    best = allow_for_model_error(best, points)
+    return Choice(best, field.sample(rigid.transform(best.T_bone_tracker, points))[0], rivals)
 
 
 def _scatter(solution: Solution, neighbours: NDArray[np.int64]) -> float:

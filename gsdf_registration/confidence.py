@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field as item
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +35,16 @@ class Confidence:
     sigma : float, m, noise of a point along the surface normal
     pattern : float, how much more residuals of neighbours vary together than white noise would; 1
         for the right bone and tracker
-    inflation : float, tau >= 1, by which that makes the covariance larger, see `assess`
+    model_sd : float, m, standard deviation of the model's own error; 0 where none is seen
+    added : (6, 6) float, what that adds to the covariance
     """
 
     motion_covariance: Array
     centre: Array
     sigma: float
     pattern: float
-    inflation: float = 1.0
+    model_sd: float = 0.0
+    added: Array = item(default_factory=lambda: np.zeros((6, 6)))
 
     def predicted_tre(self, targets: Array) -> Array:
         """Return the predicted TRE (n,) (RMS, m) at each of ``targets`` (n, 3), m, bone frame."""
@@ -116,35 +119,34 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     """
     Return the confidence of a solution, or None if its points do not hold the pose.
 
-    The covariance of an M-estimate (Huber 1981, section 6.3), tau sigma^2 H^-1 (sum w^2 J J^T) H^-1
-    with H = sum psi' J J^T, psi = w e; for plain least squares the Cramer-Rao bound sigma^2 (J^T
-    J)^-1.  Each row of J and its residual are divided by the relative noise along its normal.  tau
-    >= 1 is how much more the residuals of neighbours vary together than white noise would, over the
-    stretch where they do so most: the error of a model is the same over a stretch, and a hundred
-    points there tell it no better than one.
+    The covariance of an M-estimate (Huber 1981, section 6.3), H^-1 S H^-1 with H = sum psi' J J^T,
+    psi = w e, and S = sigma^2 sum w^2 J J^T the covariance of sum psi J; for plain least squares
+    the Cramer-Rao bound sigma^2 (J^T J)^-1.  Each row of J and its residual are divided by the
+    relative noise along its normal.  An error of the model that was allowed for takes from H and J
+    what it may explain, and adds to S.
 
     Parameters
     ----------
     solution : of a solver
     points : (n, 3) float, metres, tracker frame, its points
-    neighbours : (n, k) int, the points nearest to each, nearest first, over which residuals are
-        averaged: over all and over a third of them
+    neighbours : (n, k) int, the points nearest to each, over which residuals are averaged
 
     """
-    used = solution.weights > 0.0
-    w, e = solution.weights[used], solution.residuals[used]
-    if w.sum() < 6.0:
+    pattern = _together(solution, neighbours)
+    error = solution.model_error
+    if error is None:
+        return _confidence(solution, points, pattern, 0.0, np.zeros((6, 6)))
+    with_it = _covariance(solution, error.jacobian, error.noise**2, error.lost, error.spread)
+    without = _covariance(solution, solution.jacobian, error.noise**2)
+    if with_it is None or without is None:
         return None
-    variance = float((w * e**2).sum() / w.sum())
-    far, near = (_together(solution, neighbours[used, :max(1, neighbours.shape[1] // share)], w) /
-                 max(variance, 1e-300) for share in (1, 3))
-    return _confidence(solution, points, near, max(1.0, near, far))
+    return _confidence(solution, points, pattern, error.sd, with_it - without)
 
 
 def assess_at(solution: Solution, points: Array, field: Field,
               config: SolverConfig) -> Confidence | None:
     """Return `assess` over the points nearest to each along the bone."""
-    around = nearest_neighbours(points, field, solution.T_bone_tracker, 3 * config.neighbours)
+    around = nearest_neighbours(points, field, solution.T_bone_tracker, config.neighbours)
     return assess(solution, points, around)
 
 
@@ -152,35 +154,57 @@ def reassess(before: Confidence, solution: Solution, points: Array) -> Confidenc
     """
     Return the confidence of a solution with a few more points than one ``before``.
 
-    How much residuals vary together is taken from there, for that takes the most time and hardly
-    changes.
+    How much residuals vary together, and what an error of the model adds, is taken from there: that
+    takes the most time and hardly changes.
     """
-    return _confidence(solution, points, before.pattern, before.inflation)
+    return _confidence(solution, points, before.pattern, before.model_sd, before.added)
 
 
-def _confidence(solution: Solution, points: Array, pattern: float,
-                inflation: float) -> Confidence | None:
-    """Return the confidence of a solution, the covariance of white noise made larger."""
+def _confidence(solution: Solution, points: Array, pattern: float, model_sd: float,
+                added: Array) -> Confidence | None:
+    """Return the confidence that noise allows, with what is ``added`` to its covariance."""
+    w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
+    noise = solution.model_error.noise**2 if solution.model_error else float(
+        ((w * p * e) ** 2).sum() / max((w**2).sum(), 1e-300))
+    C = _covariance(solution, solution.jacobian, noise)
+    if C is None:
+        return None
+    centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
+    sigma = float(np.sqrt((w * e**2).sum() / w.sum()))
+    return Confidence(C + added, centre, sigma, pattern, model_sd, added)
+
+
+def _covariance(solution: Solution, jacobian: Array, variance: float, lost: Array | float = 0.0,
+                spread: Array | float = 0.0) -> Array | None:
+    """
+    Return the covariance of `assess`, or None if the points do not hold the pose.
+
+    Parameters
+    ----------
+    solution : of a solver
+    jacobian : (n, 6) float, J, less what an error of the model may explain
+    variance : float, m^2, of a point's noise
+    lost, spread : (6, 6) float, what such an error takes from H and adds to S / sigma^2
+
+    """
     used = solution.weights > 0.0
-    w, precision = solution.weights[used], solution.precision[used]
+    w, precision = solution.weights[used], solution.precision[used, None]
     if w.sum() < 6.0:
         return None
-    variance = float((w * solution.residuals[used]**2).sum() / w.sum())
-    J, e = precision[:, None] * solution.jacobian[used], precision * solution.residuals[used]
+    J = precision * solution.jacobian[used]
+    certain = (J.T * w) @ J - lost
+    J = precision * jacobian[used]
     # where a few points of doubt hold the pose, what they take away may be more than there is;
     # then they count for nothing
     for curvature in (solution.curvature[used], np.clip(solution.curvature[used], 0.0, None)):
-        H = (J.T * curvature) @ J
+        H = certain - (J.T * (w - curvature)) @ J
         if _holds(H):
             break
     else:
         return None
     scale = np.sqrt(np.diag(H))
-    psi2 = float(((w * e) ** 2).sum() / (w**2).sum())
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
-    C = inflation * psi2 * H_inverse @ ((J.T * w**2) @ J) @ H_inverse
-    centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
-    return Confidence(C, centre, float(np.sqrt(variance)), pattern, inflation)
+    return np.asarray(variance * H_inverse @ ((J.T * w**2) @ J + spread) @ H_inverse)
 
 
 def _holds(H: Array) -> bool:
@@ -192,12 +216,13 @@ def _holds(H: Array) -> bool:
     return bool(held[0] >= 1e-10 * held[-1])
 
 
-def _together(solution: Solution, neighbours: NDArray[np.int64], weights: Array) -> float:
-    """Return the mean of (sum w) m^2, m the mean residual of neighbours: white noise gives s^2."""
-    around = solution.weights[neighbours]
+def _together(solution: Solution, neighbours: NDArray[np.int64]) -> float:
+    """Return the mean of (sum w) m^2 / s^2, m the mean residual of neighbours; of noise it is 1."""
+    w, e = solution.weights, np.nan_to_num(solution.residuals)
+    around = w[neighbours]
     count = np.maximum(around.sum(axis=1), 1e-9)
-    mean = (around * np.nan_to_num(solution.residuals)[neighbours]).sum(axis=1) / count
-    return float((weights * count * mean**2).sum() / weights.sum())
+    mean = (around * e[neighbours]).sum(axis=1) / count
+    return float((w * count * mean**2).sum() / max((w * e**2).sum(), 1e-300))
 
 
 def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str,

@@ -119,9 +119,9 @@ def where_to_touch(confidence: Confidence, field: Field, reachable: Array, targe
     near = _within(patches, field, reachable, reach)
     if not len(near):
         return []
-    # a stroke teaches the less, the more its residuals vary together
-    per_point = confidence.inflation * confidence.sigma**2
-    gained = STROKE / per_point * _about(confidence.centre, patches.information[near])
+    # the error of the model is one over a stroke, however many its points
+    variance = confidence.sigma**2 / STROKE + confidence.model_sd**2
+    gained = _about(confidence.centre, patches.information[near]) / variance
     after = np.linalg.inv(np.linalg.inv(confidence.motion_covariance) + gained)
     metric = _metric(targets - confidence.centre)
     error = np.sqrt(np.einsum('pij,ij->p', after, metric))

@@ -86,13 +86,13 @@ def test_a_touch_tells_what_it_gains() -> None:
     assert touches[0].promise == f'the expected error falls from {before} to {after} mm'
 
 
-def test_a_stroke_of_correlated_noise_promises_less() -> None:
+def test_a_stroke_over_a_model_that_is_off_promises_less() -> None:
     points = touched(150, 0, SIGMA, radius=0.02)
     confidence, on_bone = confidence_of(points)
     surface = bone_field().surface_points.astype(np.float64)
     plain, doubtful = (
-        where_to_touch(dataclasses.replace(confidence, inflation=inflation), bone_field(), on_bone,
-                       surface, 1)[0].predicted_tre for inflation in (1.0, 4.0))
+        where_to_touch(dataclasses.replace(confidence, model_sd=sd), bone_field(), on_bone, surface,
+                       1)[0].predicted_tre for sd in (0.0, 0.0005))
     assert doubtful > plain
 
 

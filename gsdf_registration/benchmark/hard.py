@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data from which no pose, or hardly one, can be had: too little of a bone, or none of it."""
+"""Data from which no pose, or hardly one, can be had: little of a bone, none, or not the model."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
+from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array, transform
 from gsdf_registration.simulation.interference import Kind
 from gsdf_registration.simulation.patch import Patch, exposed_patch, whole_surface
@@ -17,6 +18,8 @@ CUP = (0.020, 0.025)        # m, radius of the ball round the floor of a cup
 SHAFT = 0.042               # m, radius of the ball round a place on a shaft
 MIDDLE = (0.35, 0.65)       # share of a long bone's length that is nothing but shaft
 OBJECT = (0.008, 0.030)     # m, half the width of an object along each axis
+OFF, ALIKE = 0.0003, 0.015  # m: how far a bone is off its model (SD), over how much of it alike
+WAVES = 200                 # that this is made of
 
 
 def cup(vertices: Array, faces: np.ndarray, region: Patch, rng: np.random.Generator) -> Patch:
@@ -42,6 +45,19 @@ def moved(patch: Patch, T: Array) -> Patch:
     R = T[:3, :3]
     return replace(patch, corners=transform(T, patch.corners), normals=patch.normals @ R.T,
                    approach=R @ patch.approach)
+
+
+def off_the_model(run: Drag, field: Field, rng: np.random.Generator) -> Drag:
+    """
+    Return a recording as if the bone were not quite its model: smoothly, in and out.
+
+    Random Fourier features of a Gaussian process (Rahimi and Recht 2007) along the normals.
+    """
+    waves, phases = rng.normal(0.0, 1.0 / ALIKE, (WAVES, 3)), rng.uniform(0.0, 2.0 * np.pi, WAVES)
+    off = OFF * np.sqrt(2.0 / WAVES) * np.cos(run.tips @ waves.T + phases).sum(axis=1)
+    shift = off[:, None] * field.sample(run.tips)[1]
+    return replace(run, tips=run.tips + shift,
+                   positions=run.positions + shift @ run.T_tracker_bone[:3, :3].T)
 
 
 def other_object(rng: np.random.Generator) -> Patch:

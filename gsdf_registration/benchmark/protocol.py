@@ -31,7 +31,8 @@ from gsdf_registration.simulation.probe import Drag, Tracker, drag, random_pose
 
 POINTS = (600, 1000)    # samples on the bone, fewest and most
 SIGMA = 5e-4            # m, noise of a point per axis
-POSSIBLE = ('cup_only', 'shaft_only', 'other_scan')     # a pose may be had, or hardly
+# a pose may be had, or hardly
+POSSIBLE = ('cup_only', 'shaft_only', 'model_off', 'other_scan')
 IMPOSSIBLE = ('mirrored', 'contralateral', 'other_bone', 'other_person', 'object_only',
               'noise_only')                             # what is touched is not the model
 
@@ -170,6 +171,8 @@ def make(trial: Trial) -> Problem:
         patch = hard.moved(patch, between_scans(trial.case.bone, trial.model))
     run = drag(patch, points, rng, tracker=tracker, interference=trial.scenario.interference,
                T_tracker_bone=T)
+    if word == 'model_off':
+        run = hard.off_the_model(run, field, rng)
     return Problem(trial, field, run, patch)
 
 

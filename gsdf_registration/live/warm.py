@@ -12,7 +12,12 @@ from gsdf_registration.config import Config
 from gsdf_registration.density import MIN_NEIGHBOURS
 from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import Neighbourhood, Solution, refine
+from gsdf_registration.solver import (
+    Neighbourhood,
+    Solution,
+    allow_for_model_error,
+    refine,
+)
 
 MOVED = 0.003   # m: farther from where they were found, neighbours are others
 FEW = 0.002     # share of the points that moves nothing, and need not be solved for
@@ -47,6 +52,7 @@ class WarmPose:
         self._neighbourhood = Neighbourhood(self.points, self._field, self._T_of_neighbours,
                                             self._config.solver.neighbours)
         self._solve(carry=False)
+        self.solution = allow_for_model_error(self.solution, self.points)
 
     def _solve(self, carry: bool) -> None:
         self.solution = refine(self.points, self._field, self.solution, self._config.solver,

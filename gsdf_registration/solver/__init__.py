@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +18,14 @@ from gsdf_registration.solver import gauss_newton
 from gsdf_registration.solver.centring import about_centroid, pose_about
 from gsdf_registration.solver.last_step import last_step
 from gsdf_registration.solver.mixture import expectation_maximization
+from gsdf_registration.solver.model_error import ModelError, find_model_error
 from gsdf_registration.solver.neighbourhood import Neighbourhood, nearest_neighbours
 from gsdf_registration.solver.paper import algorithm_1
 
-__all__ = ['Estimates', 'Neighbourhood', 'Solution', 'nearest_neighbours', 'refine', 'solve']
+__all__ = [
+    'Estimates', 'ModelError', 'Neighbourhood', 'Solution', 'allow_for_model_error',
+    'nearest_neighbours', 'refine', 'solve'
+]
 
 START = 0.0015      # m, scatter of the local means at first: a fair guess is so far off
 COOLING = 0.85      # by which it falls a round
@@ -49,8 +53,8 @@ class Solution:
     Where a solver ended, and why.
 
     T_bone_tracker : (4, 4) float, metres
-    step : (4, 4) float, metres, the last step of the mixture, a small motion of the bone frame from
-        where its iterations ended
+    step : (4, 4) float, metres, what was taken last, a small motion of the bone frame from where
+        the iterations of the mixture ended
     weights : (n,) float in [0, 1], how much each point bears
     residuals : (n,) float, metres, signed distance of each point at the pose, less what noise makes
         of it on average if the last step was taken; NaN where it was discarded before
@@ -66,6 +70,7 @@ class Solution:
     termination : str, why it ended, in words
     iterations : int
     estimates : what to go on with from here; None after the published method
+    model_error : that was allowed for; None if none was found, or looked for
     history : the steps, on request
     """
 
@@ -82,6 +87,7 @@ class Solution:
     termination: str
     iterations: int
     estimates: Estimates | None = None
+    model_error: ModelError | None = None
     history: tuple[Iteration, ...] = ()
 
     @property
@@ -156,6 +162,30 @@ def refine(points: Array,
                     previous.exact, True, previous.step if carry else None)
 
 
+def allow_for_model_error(solution: Solution, points: Array) -> Solution:
+    """
+    Return a solution of the mixture, one step further where the model is seen to be off.
+
+    Parameters
+    ----------
+    solution : of these points; that of the published method is returned as it is
+    points : (n, 3) float64, metres, tracker frame
+
+    """
+    T, e, J, weight = (solution.T_bone_tracker, solution.residuals, solution.jacobian,
+                       solution.weights)
+    error = None if solution.estimates is None else find_model_error(
+        rigid.transform(T, points), e, J, weight, solution.precision)
+    if error is None:
+        return solution
+    weighted = error.jacobian.T * (weight * solution.precision**2)
+    dx = -np.linalg.solve(weighted @ J, weighted @ e)
+    R, centre = rigid.rotation_exp(dx[:3]), rigid.transform(T, points.mean(axis=0))
+    step = rigid.from_rt(R, centre + dx[3:] - R @ centre)
+    return replace(solution, T_bone_tracker=step @ T, step=step @ solution.step,
+                   residuals=e + J @ dx, model_error=error)
+
+
 def _mixture(points: Array,
              neighbours: NDArray[np.int64],
              field: Field,
@@ -219,7 +249,7 @@ def _solution(T: Array, step: Array, weight: Array, e: Array, precision: Array, 
               history: bool, estimates: Estimates | None = None) -> Solution:
     return Solution(
         T, step, weight, e, precision, J, curvature, exact, score,
-        ended == gauss_newton.SETTLED, gauss_newton.TERMINATION[ended], len(steps), estimates,
+        ended == gauss_newton.SETTLED, gauss_newton.TERMINATION[ended], len(steps), estimates, None,
         tuple(
             Iteration(cost, turn, shift, int(used))
             for cost, turn, shift, used in steps.tolist()) if history else ())
