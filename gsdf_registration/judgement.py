@@ -216,9 +216,12 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def summary(known: dict[str, Any]) -> str:
+def summary(found: Finding) -> str:
     """Return one plain sentence on a pose that may be used."""
+    known, confidence = found.known, found.confidence
+    off = confidence.model_sd if confidence is not None else 0.0
     return (
         f'registered on {known["inliers"]} of {known["used"]} points; expected error '
-        f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone; '
-        f'{known["weakest_direction"].sentence}')
+        f'{1e3 * known["predicted_tre_m"]["rms"]:.1f} mm (RMS) over the bone'
+        + (f', as the model or the tracker is off by {length(off)} (SD) from place to place'
+           if off > 0.0 else '') + f'; {known["weakest_direction"].sentence}')

@@ -79,7 +79,7 @@ def register(points: ArrayLike,
     known['received'] = received
     known['timing_s']['total'] = perf_counter() - started
     if refusal is None:
-        return RegistrationResult(Reason.CONVERGED, summary(known), **known)
+        return RegistrationResult(Reason.CONVERGED, summary(found), **known)
     return RegistrationResult.refused(
         refusal.reason, refusal.message,
         **{key: known[key]

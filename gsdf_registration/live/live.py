@@ -168,18 +168,18 @@ class LiveRegistration:
             return LiveStatus()
         known = LiveStatus(self.ready, used=survey.used, predicted_tre_m=survey.predicted_tre_m,
                            strokes=survey.strokes)
-        error = f'{1e3 * survey.predicted_tre_m.get("rms", np.nan):.1f} mm (RMS) over the bone'
+        tre = survey.predicted_tre_m.get('rms')     # none where what came since hides it
+        error = '' if tre is None else f'; expected error {1e3 * tre:.1f} mm (RMS) over the bone'
         if self.ready:
-            return replace(known, message=f'enough: register now; expected error {error}')
+            return replace(known, message=f'enough: register now{error}')
         no = survey.objection
         if no is not None:
             few = no.reason is Reason.TOO_FEW_POINTS    # how many there are changes all the time
             message = (f'drag the probe over the bone: {self.config.limits.min_points} points at '
                        'least are needed') if few else no.message
             return replace(known, message=message, reason=no.reason, touch_next=no.touch)
-        message = 'looking whether what was touched fits anywhere else'
-        return replace(known, message=f'expected error {error}; {message}' if survey.trusted else
-                       'looking for the bone')
+        return replace(known, message='looking whether what was touched fits anywhere else' + error
+                       if survey.trusted else 'looking for the bone')
 
     def _search_from(self) -> float:
         """Return with how many points on strokes the bone is searched for."""

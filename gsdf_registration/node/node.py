@@ -172,7 +172,8 @@ class RegistrationNode(LifecycleNode):
             return 'the bone is being loaded; wait a moment'
         if self._problem is not None:
             return f'{self._problem.reason}: {self._problem.message}'
-        return f'the node is {self.state}; activate it first'
+        missing = 'configure and activate' if self.state == 'unconfigured' else 'activate'
+        return f'the node is {self.state}; {missing} it first'
 
     def now(self) -> float:
         """Return the time of the node's clock in seconds."""

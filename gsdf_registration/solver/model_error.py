@@ -12,6 +12,7 @@ are believed if they raise it by more than chance does; where only noise is ther
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from gsdf_registration.density import spread_sample
 from gsdf_registration.rigid import Array
+from gsdf_registration.solver.gauss_newton import kernel
 
 # that points are gathered in, over each of which the error is one: few tell its size, which takes
 # many trials, more the pose; and how many points there must be in each, on average
@@ -55,15 +57,15 @@ class _Cells(NamedTuple):
     Points gathered where they lie along the bone: m cells.
 
     which : (n,) int, the cell of each point
-    weight : (m,) float, sum of the weights
-    J, e : (m, 6), (m,) float, weighted sums
+    root : (m,) float, square root of the sum of the weights
+    J, e : (m, 6), (m,) float, weighted sums over that, of the one variance that noise has
     apart : (m, m) float, m, between cells
     within : float, m^2, weighted sum of the squares of what is left of the residuals in them
     points : float, how many they hold
     """
 
     which: NDArray[np.intp]
-    weight: Array
+    root: Array
     J: Array
     e: Array
     apart: Array
@@ -92,17 +94,18 @@ def find_model_error(x: Array, e: Array, J: Array, weight: Array,
     cells = _gathered(*points, *FEW)
     if cells is None or not cells.within > 0.0:
         return None
-    ratio, length, noise = _most_likely(cells)
+    rows = np.concatenate([cells.J.T / np.sqrt((cells.J**2).sum(axis=0))[:, None], cells.e[None]])
+    ratio, length, noise = _most_likely(cells.apart, cells.root, rows, cells.within, cells.points)
     cells = _gathered(*points, *MANY)
     if ratio == 0.0 or cells is None:
         return None
-    # (K^-1 + N)^-1, by which a mean residual is believed to be the model's, K the covariance
-    N, K = cells.weight, ratio**2 * _matern(cells.apart / length)
-    believed = np.linalg.solve(np.eye(len(N)) + K * N, K)
-    explained = believed @ cells.J
-    left = cells.J - N[:, None] * explained
+    # V^-1 J, V = I + S the covariance of the means; the model's error is believed to be S V^-1 e
+    rest = cells.J.T.copy()
+    _solve(np.eye(len(cells.e)) + ratio**2 * _alike(cells.apart, cells.root, length), rest)
+    believed = cells.J - rest.T
+    explained = believed / cells.root[:, None]
     return ModelError(ratio * noise, length, noise, J - explained[cells.which],
-                      cells.J.T @ explained, left.T @ K @ left)
+                      cells.J.T @ believed, rest @ believed)
 
 
 def _gathered(x: Array, e: Array, J: Array, weight: Array, precision: Array, most: int,
@@ -121,52 +124,105 @@ def _gathered(x: Array, e: Array, J: Array, weight: Array, precision: Array, mos
     within = float((w * (e - (sums / N)[which])**2).sum())
     centres = np.stack([total(axis) for axis in x.T], axis=1) / N[:, None]
     apart = np.sqrt(((centres[:, None] - centres)**2).sum(axis=2))
-    return _Cells(which, N, np.stack([total(column) for column in J.T], axis=1), sums, apart,
-                  within, float(weight.sum()))
+    root = np.sqrt(N)
+    return _Cells(which, root, np.stack([total(column) for column in J.T], axis=1) / root[:, None],
+                  sums / root, apart, within, float(weight.sum()))
 
 
-def _most_likely(cells: _Cells) -> tuple[float, float, float]:
-    """Return the ratio of the model's error to the noise, 0 if there is none, its length, noise."""
-    root = np.sqrt(cells.weight)
-    J, e = cells.J / root[:, None], cells.e / root
-    J = J / np.sqrt((J**2).sum(axis=0))     # whatever the units of a motion
-    known = cells.within, cells.points
-    best, noise = _restricted_likelihood(np.ones(len(e)), J, e, *known)
-    best, found = best + GAIN, (0.0, LENGTHS[0], noise)
+@kernel
+def _most_likely(apart, root, rows, within, points):
+    """
+    Return the ratio of the model's error to the noise, 0 if there is none, its length, the noise.
+
+    rows : (7, m) the columns of J, of any length, and e
+    within, points : what the residuals within the cells add up to, and how many there are
+    """
+    best, noise = _restricted_likelihood(np.eye(len(root)), rows.copy(), within, points)
+    best, found = best + GAIN, (0.0, 0.0, noise)
     for length in LENGTHS:
-        # along the axes of the covariance all that it adds to the noise is a variance each
-        more, axes = np.linalg.eigh(root[:, None] * _matern(cells.apart / length) * root)
-        turned = axes.T @ J, axes.T @ e
+        alike, last = _alike(apart, root, length), -np.inf
         for ratio in RATIOS:
-            likely, noise = _restricted_likelihood(1.0 + ratio**2 * np.maximum(more, 0.0), *turned,
-                                                   *known)
+            V = np.eye(len(root)) + ratio * ratio * alike
+            likely, noise = _restricted_likelihood(V, rows.copy(), within, points)
             if likely > best:
                 best, found = likely, (ratio, length, noise)
+            if likely < last:
+                break
+            last = likely
     return found
 
 
-def _restricted_likelihood(variance: Array, J: Array, e: Array, within: float,
-                           points: float) -> tuple[float, float]:
+@kernel
+def _alike(apart, root, length):
+    """Return the Matern 3/2 correlation of cells (m, m), each times the root of its weight."""
+    S = np.empty(apart.shape)
+    for i in range(len(S)):
+        for j in range(i + 1):
+            d = math.sqrt(3.0) * apart[i, j] / length
+            S[i, j] = S[j, i] = (1.0 + d) * math.exp(-d) * root[i] * root[j]
+    return S
+
+
+@kernel
+def _restricted_likelihood(V, rows, within, points):
     """
     Return its logarithm, but for a constant, and the noise at which it is highest.
 
-    Parameters
-    ----------
-    variance : (m,) float, of ``e`` over that of the noise
-    J, e : (m, 6), (m,) float, of the cells, times the square root of their weights
-    within, points : what the residuals within the cells add up to, and how many there are
-
+    V, rows : (m, m) covariance in units of the noise, (7, m) the columns of J and e; overwritten
     """
-    weighted = J.T / variance
-    A, b = weighted @ J, weighted @ e
-    squared = within + float((e**2 / variance).sum() - b @ np.linalg.solve(A, b))
-    free = points - J.shape[1]
-    likely = -0.5 * (float(np.log(variance).sum() + np.linalg.slogdet(A)[1])
-                     + free * np.log(squared / free))
-    return float(likely), float(np.sqrt(squared / free))
+    spread = _factor(V)
+    _forward(V, rows)
+    G = np.empty((7, 7))
+    for i in range(7):
+        for j in range(7):
+            G[i, j] = (rows[i] * rows[j]).sum()
+    held = _factor(G)
+    # the last pivot is what of e no motion explains
+    squared = within + G[6, 6] * G[6, 6]
+    free = points - 6.0
+    held -= 2.0 * math.log(G[6, 6])
+    return -0.5 * (spread + held + free * math.log(squared / free)), math.sqrt(squared / free)
 
 
-def _matern(d: Array) -> Array:
-    """Return the Matern 3/2 correlation at so many lengths."""
-    d = np.sqrt(3.0) * d
-    return np.asarray((1.0 + d) * np.exp(-d))
+@kernel
+def _solve(V, rows):
+    """Replace each of ``rows`` (k, m) by V^-1 times it; ``V`` (m, m) is overwritten."""
+    _factor(V)
+    _forward(V, rows)
+    for row in rows:
+        for k in range(len(V) - 1, -1, -1):
+            total = row[k]
+            for j in range(k + 1, len(V)):
+                total -= V[k, j] * row[j]
+            row[k] = total / V[k, k]
+
+
+@kernel
+def _factor(V):
+    """
+    Replace the upper triangle of ``V`` by U, V = U^T U (Cholesky); return log det V.
+
+    Here and not by a library, whose threads would decide on the last bits.
+    """
+    m = len(V)
+    log_det = 0.0
+    for k in range(m):
+        pivot = math.sqrt(V[k, k])
+        log_det += 2.0 * math.log(pivot)
+        for i in range(k, m):
+            V[k, i] /= pivot
+        for j in range(k + 1, m):
+            factor = V[k, j]
+            for i in range(j, m):
+                V[j, i] -= factor * V[k, i]
+    return log_det
+
+
+@kernel
+def _forward(U, rows):
+    """Replace each of ``rows`` (k, m) by U^-T times it."""
+    for row in rows:
+        for k in range(len(U)):
+            row[k] /= U[k, k]
+            for j in range(k + 1, len(U)):
+                row[j] -= U[k, j] * row[k]

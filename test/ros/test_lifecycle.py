@@ -15,13 +15,15 @@ from ros_support import Client, NodeProcess, Tracker
 pytestmark = pytest.mark.ros
 StartNode = Callable[..., NodeProcess]
 
+UNCONFIGURED = 'the node is unconfigured; configure and activate it first'
+
 
 def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
                                                   parameters: dict[str, Any]) -> None:
     node = start_node('managed', **parameters | {'autostart': 'false', 'collect.automatic': 'true'})
     with Client(node) as client:
         assert client.state() == 'unconfigured'
-        assert client.ask('register').message == 'the node is unconfigured; activate it first'
+        assert client.ask('register').message == UNCONFIGURED
         for transition, state in ((Transition.TRANSITION_CONFIGURE, 'inactive'),
                                   (Transition.TRANSITION_ACTIVATE, 'active'),
                                   (Transition.TRANSITION_DEACTIVATE, 'inactive')):
@@ -45,7 +47,7 @@ def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         assert client.change(Transition.TRANSITION_CLEANUP)
         assert client.status(
-            received='0')['message'] == 'the node is unconfigured; activate it first'
+            received='0')['message'] == UNCONFIGURED
         assert client.change(Transition.TRANSITION_CONFIGURE)
         assert client.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
         assert client.state() == 'finalized'

@@ -19,8 +19,8 @@ from gsdf_registration.rigid import Array
 from gsdf_registration.solver import Solution, allow_for_model_error, solve
 from gsdf_registration.solver.model_error import (
     MANY,
+    _alike,
     _gathered,
-    _matern,
     _restricted_likelihood,
     find_model_error,
 )
@@ -150,7 +150,8 @@ def test_the_information_is_that_of_the_whole_covariance() -> None:
     error = find_model_error(x, e, J, w, precision)
     cells = _gathered(x - e[:, None] * J[:, 3:], e, J, w, precision, *MANY)
     assert error is not None and cells is not None
-    among = _matern(cells.apart / error.length)[np.ix_(cells.which, cells.which)]
+    among = _alike(cells.apart, np.ones(len(cells.root)), error.length)
+    among = among[np.ix_(cells.which, cells.which)]
     V = np.diag(error.noise**2 / (w * precision**2)) + error.sd**2 * among
     information = J.T @ np.linalg.solve(V, J)
     scale = np.sqrt(np.outer(np.diag(information), np.diag(information)))
@@ -175,7 +176,7 @@ def test_the_restricted_likelihood_is_that_of_what_no_motion_explains() -> None:
     variance = (rest @ np.linalg.solve(S, rest) + 40.0) / (14 + 30)
     expected = -0.5 * (np.linalg.slogdet(S)[1] + np.linalg.slogdet(J.T @ J)[1]
                        + 44 * np.log(variance))
-    likelihood, noise = _restricted_likelihood(v, J, e, 40.0, 50)
+    likelihood, noise = _restricted_likelihood(np.diag(v), np.vstack([J.T, e]), 40.0, 50.0)
     assert likelihood == pytest.approx(expected, rel=1e-12)
     assert noise == pytest.approx(np.sqrt(variance), rel=1e-12)
 
