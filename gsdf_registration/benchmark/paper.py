@@ -45,7 +45,8 @@ TABLES = {
     'regions': ('clean', 'anisotropic'),
     'noise': ('clean', 'sigma_0.7', 'sigma_0.9', 'sigma_1.2'),
     'outliers': ('uniform_10', 'uniform_30', 'uniform_50', 'uniform_70', 'uniform_90'),
-    'structured': ('soft_tissue_40', 'lift_off_40', 'other_object_40', 'resting_30', 'mixed_40')
+    'structured': ('soft_tissue_40', 'lift_off_40', 'other_object_40', 'resting_30', 'mixed_40'),
+    'model': ('model_off',)
 }
 SAMPLED = ('clean', 'anisotropic', 'uniform_50', 'mixed_40')    # of them, for a dear method
 

@@ -92,7 +92,8 @@ def markdown(rows: Sequence[Row], missing: Mapping[str, str], caption: str) -> s
                       'MAE of rotation (degrees) / MAE of translation at the centroid (mm) / '
                       'Chamfer distance (mm), success', _table(_regions(rows, scenario))]
     for name, what in (('noise', 'Noise'), ('outliers', 'Outliers'),
-                       ('structured', 'Structured interference')):
+                       ('structured', 'Structured interference'),
+                       ('model', 'A model that is off, 0.3 mm from place to place')):
         scenarios = [scenario for scenario in TABLES[name] if scenario in there]
         if scenarios:
             parts += [f'## {what}', 'MAE of rotation (degrees) / MAE of translation at the '

@@ -50,10 +50,10 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         'paper',
         help="the paper's tables anew, beside other libraries",
-        description="Make the paper's tables anew on the bones of a folder, and one of structured "
-        'interference, beside ICPs, CPD, JRMPC, Go-ICP, TEASER++ and more, which are installed '
-        'into environments of their own at the first run. Trials already in DIR are not run '
-        'again.',
+        description="Make the paper's tables anew on the bones of a folder, one of structured "
+        'interference, and one of a model that is off, beside ICPs, CPD, JRMPC, Go-ICP, TEASER++ '
+        'and more, which are installed into environments of their own at the first run. Trials '
+        'already in DIR are not run again.',
         **example('gsdf bench paper --bones ~/bones --output paper'))
     add_bones_option(parser)
     parser.add_argument('--trials', type=int, default=2, metavar='N',
@@ -63,7 +63,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--methods', metavar='NAME,...', default='*',
                         help='only these; * stands for any letters (default: all)')
     parser.add_argument('--tables', metavar='NAME,...', default='*',
-                        help='only these of regions, noise, outliers, structured (default: all)')
+                        help='only these of regions, noise, outliers, structured, model '
+                        '(default: all)')
     parser.add_argument('--output', '-o', metavar='DIR', default='paper',
                         help='folder for trials.tsv, figures.tsv, tables.md and plots.html '
                         '(default: paper)')
