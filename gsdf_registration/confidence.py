@@ -164,7 +164,7 @@ def _confidence(solution: Solution, points: Array, pattern: float, model_sd: flo
                 added: Array) -> Confidence | None:
     """Return the confidence that noise allows, with what is ``added`` to its covariance."""
     w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
-    noise = solution.model_error.noise**2 if solution.model_error else float(
+    noise = solution.model_error.noise**2 if solution.model_error is not None else float(
         ((w * p * e) ** 2).sum() / max((w**2).sum(), 1e-300))
     C = _covariance(solution, solution.jacobian, noise)
     if C is None:

@@ -61,3 +61,17 @@ def touched(n: int, seed: int = 0, sigma: float = 0.0, radius: float = 0.045,
     near = points[np.linalg.norm(points - centre, axis=1) < radius]
     chosen = near[rng.choice(len(near), n, replace=False)]
     return np.asarray(chosen + sigma * rng.normal(size=chosen.shape))
+
+
+def off_the_model(points: Array, seed: int, off: float, alike: float) -> Array:
+    """
+    Return points (n, 3) of the bone, m, as if it were ``off`` its model (SD), along the normals.
+
+    Alike over stretches of length ``alike``, m: a sum of waves, as many for each length as a Matern
+    3/2 covariance has.
+    """
+    rng = np.random.default_rng(seed)
+    waves = rng.normal(size=(500, 3)) / alike / np.sqrt(rng.chisquare(3, (500, 1)) / 3.0)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 500)
+    error = off * np.sqrt(2.0 / 500) * np.cos(points @ waves.T + phases).sum(axis=1)
+    return np.asarray(points + error[:, None] * bone_field().sample(points)[1])

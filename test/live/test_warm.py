@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from smooth_bone import T_TRACKER_BONE, bone_field, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
 
 from gsdf_registration.confidence import assess
 from gsdf_registration.config import Config
@@ -56,6 +56,22 @@ def test_the_covariance_falls_as_points_are_added(points: Array) -> None:
     assert before is not None and pose.covariance is not None
     assert (np.linalg.eigvalsh(before - pose.covariance) > 0.0).any()
     assert np.trace(pose.covariance) < np.trace(before)
+
+
+def test_an_error_of_the_model_is_allowed_for_until_all_is_looked_at_again() -> None:
+    seen = off_the_model(touched(1000, 0, 2e-4), 0, 4e-4, 0.012)
+    points = np.random.default_rng(0).permutation(transform(T_TRACKER_BONE, seen))
+    pose = warm(points[:950])
+    plain = solve(points[:950], bone_field(), NEAR, CONFIG.solver).T_bone_tracker
+    before = pose.confidence
+    assert pose.solution.model_error is not None and before is not None
+    stepped = apart(pose.solution.T_bone_tracker, plain, points)
+    pose.add(points[950:])
+    assert apart(pose.solution.T_bone_tracker, plain, points) > 0.7 * stepped > 5e-5
+    after = pose.confidence
+    assert after is not None and after.model_sd == before.model_sd > 1e-4
+    np.testing.assert_allclose(np.diag(after.motion_covariance), np.diag(before.motion_covariance),
+                               rtol=0.3)
 
 
 def test_stray_points_are_left_out(points: Array) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from smooth_bone import T_TRACKER_BONE, bone_field, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
 
 from gsdf_registration import rigid
 from gsdf_registration.confidence import assess_at
@@ -33,18 +33,14 @@ OFF, ALIKE = 3e-4, 0.012    # m, error of the model (SD), over how much alike
 
 def felt(seed: int, off: float = OFF, n: int = 800) -> Array:
     """
-    Return points (n, 3), tracker frame, of a bone that is ``off`` its model.
+    Return points (n, 3), tracker frame, with noise, of a bone that is ``off`` its model.
 
-    Most lie close together, as strokes do.  The error is a sum of waves, as many for each length
-    as a Matern 3/2 covariance has.
+    Most lie close together, as strokes do.
     """
-    rng = np.random.default_rng(seed)
     points = np.concatenate([touched(3 * n // 4, seed, radius=0.02), touched(n - 3 * n // 4, seed)])
-    waves = rng.normal(size=(500, 3)) / ALIKE / np.sqrt(rng.chisquare(3, (500, 1)) / 3.0)
-    phases = rng.uniform(0.0, 2.0 * np.pi, 500)
-    error = off * np.sqrt(2.0 / 500) * np.cos(points @ waves.T + phases).sum(axis=1)
-    points = points + error[:, None] * bone_field().sample(points)[1]
-    return np.asarray(rigid.transform(T_TRACKER_BONE, points + SIGMA * rng.normal(size=(n, 3))))
+    points = off_the_model(points, seed, off, ALIKE)
+    noise = SIGMA * np.random.default_rng(seed).normal(size=(n, 3))
+    return np.asarray(rigid.transform(T_TRACKER_BONE, points + noise))
 
 
 def solved(points: Array) -> Solution:
