@@ -33,8 +33,8 @@ class Confidence:
         axes
     centre : (3,) float, m, bone frame: the centroid of the points
     sigma : float, m, noise of a point along the surface normal
-    pattern : float, how much more residuals of neighbours vary together than white noise would; 1
-        for the right bone and tracker
+    pattern : float, how much more residuals of neighbours vary together than white noise would, at
+        the pose that takes them for that; 1 for the right bone and tracker
     model_sd : float, m, standard deviation of the model's own error; 0 where none is seen
     added : (6, 6) float, what that adds to the covariance
     """
@@ -132,14 +132,15 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     neighbours : (n, k) int, the points nearest to each, over which residuals are averaged
 
     """
-    pattern = _together(solution, neighbours)
     error = solution.model_error
     if error is None:
+        pattern = _together(solution.weights, solution.residuals, neighbours)
         return _confidence(solution, points, pattern, 0.0, np.zeros((6, 6)))
     with_it = _covariance(solution, error.jacobian, error.noise**2, error.lost, error.spread)
     without = _covariance(solution, solution.jacobian, error.noise**2)
     if with_it is None or without is None:
         return None
+    pattern = _together(solution.weights, error.residuals, neighbours)
     return _confidence(solution, points, pattern, error.sd, with_it - without)
 
 
@@ -216,10 +217,9 @@ def _holds(H: Array) -> bool:
     return bool(held[0] >= 1e-10 * held[-1])
 
 
-def _together(solution: Solution, neighbours: NDArray[np.int64]) -> float:
+def _together(w: Array, residuals: Array, neighbours: NDArray[np.int64]) -> float:
     """Return the mean of (sum w) m^2 / s^2, m the mean residual of neighbours; of noise it is 1."""
-    w, e = solution.weights, np.nan_to_num(solution.residuals)
-    around = w[neighbours]
+    e, around = np.nan_to_num(residuals), w[neighbours]
     count = np.maximum(around.sum(axis=1), 1e-9)
     mean = (around * e[neighbours]).sum(axis=1) / count
     return float((w * count * mean**2).sum() / max((w * e**2).sum(), 1e-300))

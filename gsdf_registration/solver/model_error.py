@@ -42,6 +42,7 @@ class ModelError(NamedTuple):
     jacobian : (n, 6) float, of the residuals, less what the error of the model may explain of it
     lost : (6, 6) float, what that takes from the information J^T W J
     spread : (6, 6) float, covariance that it gives J^T W e, in units of the squared noise
+    residuals : (n,) float, m, at the pose that takes it for noise
     """
 
     sd: float
@@ -50,6 +51,7 @@ class ModelError(NamedTuple):
     jacobian: Array
     lost: Array
     spread: Array
+    residuals: Array
 
 
 class _Cells(NamedTuple):
@@ -105,7 +107,7 @@ def find_model_error(x: Array, e: Array, J: Array, weight: Array,
     believed = cells.J - rest.T
     explained = believed / cells.root[:, None]
     return ModelError(ratio * noise, length, noise, J - explained[cells.which],
-                      cells.J.T @ believed, rest @ believed)
+                      cells.J.T @ believed, rest @ believed, e)
 
 
 def _gathered(x: Array, e: Array, J: Array, weight: Array, precision: Array, most: int,
