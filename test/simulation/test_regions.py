@@ -23,6 +23,13 @@ def test_acetabulum(hip_surface: Surface) -> None:
     assert patch.approach @ T[:3, :3] @ hip.CUP_AXIS > 0.95
 
 
+def test_a_cup_as_rough_as_a_segmentation_is_found(hip_surface: Surface) -> None:
+    vertices, faces = hip_surface
+    rough = vertices + 4.5e-4 * np.random.default_rng(0).normal(size=vertices.shape)
+    found, smooth = (named_patch('acetabulum', v, faces) for v in (rough, vertices))
+    assert np.linalg.norm(found.centre - smooth.centre) < 0.004
+
+
 def test_ends_of_the_femur(femur_surface: Surface) -> None:
     proximal = named_patch('proximal_femur', *femur_surface).corners.reshape(-1, 3)
     assert proximal[:, 2].min() > 0.34
