@@ -29,7 +29,7 @@ FEW, MANY = (100, 6), (300, 2)
 FEWEST = 12         # cells, twice the motions
 LENGTHS = (0.004, 0.008, 0.016, 0.032)      # m, that are tried
 RATIOS = (0.1, 0.15, 0.22, 0.33, 0.5, 0.7, 1.0, 1.5, 2.2, 3.3)      # to the noise of a point
-GAIN = 3.0          # of the log-likelihood; noise alone gives as much once in some hundred times
+GAIN = 5.0          # of the log-likelihood, which noise alone hardly ever gives
 
 
 class ModelError(NamedTuple):
