@@ -96,7 +96,8 @@ def find_model_error(x: Array, e: Array, J: Array, weight: Array,
     cells = _gathered(*points, *FEW)
     if cells is None or not cells.within > 0.0:
         return None
-    rows = np.concatenate([cells.J.T / np.sqrt((cells.J**2).sum(axis=0))[:, None], cells.e[None]])
+    scale = np.sqrt(np.maximum((cells.J**2).sum(axis=0), 1e-300))
+    rows = np.concatenate([cells.J.T / scale[:, None], cells.e[None]])
     ratio, length, noise = _most_likely(cells.apart, cells.root, rows, cells.within, cells.points)
     cells = _gathered(*points, *MANY)
     if ratio == 0.0 or cells is None:

@@ -184,3 +184,12 @@ def test_few_points_and_the_published_method_are_left_alone() -> None:
     points = felt(0)
     published = solve(points, bone_field(), T_BONE_TRACKER, SolverConfig(method='paper'))
     assert allow_for_model_error(published, points) is published
+
+
+def test_points_in_one_plane_tell_nothing_of_it() -> None:
+    rng = np.random.default_rng(0)
+    x = np.column_stack([rng.uniform(-0.03, 0.03, (300, 2)), np.zeros(300)])
+    normal = np.array([0.0, 0.0, 1.0])
+    J = np.concatenate([np.cross(x, normal), np.tile(normal, (300, 1))], axis=1)
+    e = 1e-3 * np.sin(x[:, 0] / 0.01) + 1e-4 * rng.normal(size=300)
+    assert find_model_error(x, e, J, np.ones(300), np.ones(300)) is None
