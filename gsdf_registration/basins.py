@@ -18,12 +18,7 @@ from gsdf_registration.config import Config, SolverConfig
 from gsdf_registration.field import Field
 from gsdf_registration.result import Cancelled
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import (
-    Solution,
-    allow_for_model_error,
-    nearest_neighbours,
-    solve,
-)
+from gsdf_registration.solver import Solution, allow_for_model_error, nearest_neighbours, solve
 from gsdf_registration.solver.consensus import SCATTER, consensus
 from gsdf_registration.solver.mixture import patch_likelihood
 

@@ -132,16 +132,17 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     neighbours : (n, k) int, the points nearest to each, over which residuals are averaged
 
     """
-    error = solution.model_error
+    alone, error = _from_noise(solution), solution.model_error
+    if alone is None:
+        return None
     if error is None:
         pattern = _together(solution.weights, solution.residuals, neighbours)
-        return _confidence(solution, points, pattern, 0.0, np.zeros((6, 6)))
-    with_it = _covariance(solution, error.jacobian, error.noise**2, error.lost, error.spread)
-    without = _covariance(solution, solution.jacobian, error.noise**2)
-    if with_it is None or without is None:
+        return _confidence(solution, points, alone, pattern, 0.0, np.zeros((6, 6)))
+    both = _covariance(solution, error.jacobian, error.noise**2, error.lost, error.spread)
+    if both is None:
         return None
     pattern = _together(solution.weights, error.residuals, neighbours)
-    return _confidence(solution, points, pattern, error.sd, with_it - without)
+    return _confidence(solution, points, alone, pattern, error.sd, both - alone)
 
 
 def assess_at(solution: Solution, points: Array, field: Field,
@@ -158,21 +159,27 @@ def reassess(before: Confidence, solution: Solution, points: Array) -> Confidenc
     How much residuals vary together, and what an error of the model adds, is taken from there: that
     takes the most time and hardly changes.
     """
-    return _confidence(solution, points, before.pattern, before.model_sd, before.added)
-
-
-def _confidence(solution: Solution, points: Array, pattern: float, model_sd: float,
-                added: Array) -> Confidence | None:
-    """Return the confidence that noise allows, with what is ``added`` to its covariance."""
-    w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
-    noise = solution.model_error.noise**2 if solution.model_error is not None else float(
-        ((w * p * e) ** 2).sum() / max((w**2).sum(), 1e-300))
-    C = _covariance(solution, solution.jacobian, noise)
-    if C is None:
+    alone = _from_noise(solution)
+    if alone is None:
         return None
+    return _confidence(solution, points, alone, before.pattern, before.model_sd, before.added)
+
+
+def _confidence(solution: Solution, points: Array, alone: Array, pattern: float, model_sd: float,
+                added: Array) -> Confidence:
+    """Return the confidence with the covariance of noise ``alone``, and what is ``added`` to it."""
+    w, e = solution.weights, np.nan_to_num(solution.residuals)
     centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
     sigma = float(np.sqrt((w * e**2).sum() / w.sum()))
-    return Confidence(C + added, centre, sigma, pattern, model_sd, added)
+    return Confidence(alone + added, centre, sigma, pattern, model_sd, added)
+
+
+def _from_noise(solution: Solution) -> Array | None:
+    """Return the covariance of `assess` as if the model had no error."""
+    w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
+    variance = solution.model_error.noise**2 if solution.model_error is not None else float(
+        ((w * p * e) ** 2).sum() / max((w**2).sum(), 1e-300))
+    return _covariance(solution, solution.jacobian, variance)
 
 
 def _covariance(solution: Solution, jacobian: Array, variance: float, lost: Array | float = 0.0,

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from smooth_bone import ball_mesh, bone_field, field_of, touched
 
 from gsdf_registration import rigid
-from gsdf_registration.confidence import Confidence, assess, predicted_tre
+from gsdf_registration.confidence import Confidence, assess, assess_at, predicted_tre
 from gsdf_registration.config import SolverConfig
 from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array
@@ -32,8 +32,7 @@ def confidence_at(points: Array, field: Field, guess: Array,
     """
     config = SolverConfig(method=method)
     solution = solve(points, field, guess, config)
-    around = nearest_neighbours(points, field, solution.T_bone_tracker, 3 * config.neighbours)
-    confidence = assess(solution, points, around)
+    confidence = assess_at(solution, points, field, config)
     assert confidence is not None
     return solution, confidence
 

@@ -10,7 +10,7 @@ import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, bone_mesh, touched
 
 from gsdf_registration import rigid
-from gsdf_registration.confidence import Confidence, assess
+from gsdf_registration.confidence import Confidence, assess_at
 from gsdf_registration.config import Config, SolverConfig
 from gsdf_registration.guidance import (
     REACH,
@@ -22,7 +22,7 @@ from gsdf_registration.guidance import (
     where_to_touch,
 )
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import nearest_neighbours, solve
+from gsdf_registration.solver import solve
 
 CONFIG = SolverConfig()
 SIGMA = 3e-4
@@ -33,8 +33,7 @@ def confidence_of(points: Array) -> tuple[Confidence, Array]:
     """Return what points (n, 3) of the bone frame, seen by the tracker, say, and where they lie."""
     seen = rigid.transform(T_TRACKER_BONE, points)
     solution = solve(seen, bone_field(), T_BONE_TRACKER, CONFIG)
-    around = nearest_neighbours(seen, bone_field(), solution.T_bone_tracker, 3 * CONFIG.neighbours)
-    confidence = assess(solution, seen, around)
+    confidence = assess_at(solution, seen, bone_field(), CONFIG)
     assert confidence is not None
     return confidence, rigid.transform(solution.T_bone_tracker, seen)
 

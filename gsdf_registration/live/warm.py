@@ -12,12 +12,7 @@ from gsdf_registration.config import Config
 from gsdf_registration.density import MIN_NEIGHBOURS
 from gsdf_registration.field import Field
 from gsdf_registration.rigid import Array
-from gsdf_registration.solver import (
-    Neighbourhood,
-    Solution,
-    allow_for_model_error,
-    refine,
-)
+from gsdf_registration.solver import Neighbourhood, Solution, allow_for_model_error, refine
 
 MOVED = 0.003   # m: farther from where they were found, neighbours are others
 FEW = 0.002     # share of the points that moves nothing, and need not be solved for

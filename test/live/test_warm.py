@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
 
-from gsdf_registration.confidence import assess
+from gsdf_registration.confidence import assess_at
 from gsdf_registration.config import Config
 from gsdf_registration.live.warm import MOVED, WarmPose
 from gsdf_registration.rigid import Array, exp, inverse, transform
-from gsdf_registration.solver import nearest_neighbours, solve
+from gsdf_registration.solver import solve
 
 CONFIG = Config.from_flat({'live.max_points': 2000})
 NEAR = exp([0.01, -0.01, 0.02, 0.0005, -0.0005, 0.001]) @ inverse(T_TRACKER_BONE)
@@ -27,8 +27,7 @@ def points() -> Array:
 def warm(points: Array, config: Config = CONFIG, guess: Array = NEAR) -> WarmPose:
     solution = solve(points, bone_field(), guess, config.solver)
     pose = WarmPose(points, bone_field(), solution, config)
-    around = nearest_neighbours(points, bone_field(), pose.solution.T_bone_tracker, 48)
-    pose.confidence = assess(pose.solution, points, around)
+    pose.confidence = assess_at(pose.solution, points, bone_field(), config.solver)
     return pose
 
 

@@ -46,8 +46,7 @@ def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
 
         assert client.change(Transition.TRANSITION_DEACTIVATE)
         assert client.change(Transition.TRANSITION_CLEANUP)
-        assert client.status(
-            received='0')['message'] == UNCONFIGURED
+        assert client.status(received='0')['message'] == UNCONFIGURED
         assert client.change(Transition.TRANSITION_CONFIGURE)
         assert client.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
         assert client.state() == 'finalized'
