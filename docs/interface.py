@@ -19,13 +19,13 @@ from typing import NamedTuple
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from gsdf_registration.config import settings
-from gsdf_registration.declaration import default_of
-from gsdf_registration.node.domain import own_domain
-from gsdf_registration.node.operator import Operator
+from gsdf_registration.clients.domain import own_domain
+from gsdf_registration.clients.operator import Operator
+from gsdf_registration.common.config import settings
+from gsdf_registration.common.result import Reason
+from gsdf_registration.common.settings_schema import default_of
 from gsdf_registration.node.parameters import parameter_type
 from gsdf_registration.node.services import Services
-from gsdf_registration.result import Reason
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / 'docs/interface.md'

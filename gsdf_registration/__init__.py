@@ -14,14 +14,15 @@ from typing import Any
 __version__ = '0.1.0'
 
 _HOME = {
-    'Bone': 'bone', 'make_bone': 'bone',
-    'Config': 'config',
+    'Bone': 'mesh.bone', 'make_bone': 'mesh.bone',
+    'Config': 'common.config',
     'Field': 'field', 'build_field': 'field', 'cached_field': 'field',
     'load_field': 'field', 'save_field': 'field',
-    'load_model': 'model',
-    'pose_from_landmarks': 'landmarks',
+    'load_model': 'field.model',
+    'pose_from_landmarks': 'registration.landmarks',
     'register': 'registration',
-    'InputError': 'result', 'Reason': 'result', 'Refusal': 'result', 'RegistrationResult': 'result',
+    'InputError': 'common.result', 'Reason': 'common.result', 'Refusal': 'common.result',
+    'RegistrationResult': 'common.result',
     'Session': 'session',
 }
 __all__ = sorted(_HOME)

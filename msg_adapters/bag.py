@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from msg_adapters import stamps
 from msg_adapters.bag_storage import BagFiles, Raw, Topic
 from msg_adapters.motion import NO_MOTION, motion_from

@@ -18,8 +18,8 @@ from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 
-from gsdf_registration.result import InputError
-from gsdf_registration.words import counted
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError
 from msg_adapters.files import words_of
 
 STORAGES = ('.mcap', '.db3')

@@ -14,8 +14,8 @@ import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array, quaternion_from_rotation
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from msg_adapters import stamps
 from msg_adapters.bag import POINT, POSE, TYPES
 

@@ -7,7 +7,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 
 METRES = {'mm': 0.001, 'm': 1.0}
 

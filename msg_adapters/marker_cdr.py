@@ -16,7 +16,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from gsdf_registration.rigid import Array, quaternion_from_rotation
+from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 
 
 class Shape(IntEnum):

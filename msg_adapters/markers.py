@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gsdf_registration.rigid import Array, from_rt
+from gsdf_registration.common.rigid import Array, from_rt
 from msg_adapters.marker_cdr import Marker, Shape
 
 MOST_POINTS = 4000      # more would be one blot
@@ -46,7 +46,7 @@ def bone(vertices: Array, faces: NDArray[np.int32], colours: Array) -> list[Mark
 
 
 def points(positions: Array, colours: Array) -> list[Marker]:
-    """Return touched points (n, 3), m, in their colours (n, 3); evenly thinned out if too many."""
+    """Return touched points (n, 3), m, in their colours (n, 3); thinned evenly if too many."""
     if not len(positions):
         return [Marker('points', 0)]
     every = -(-len(positions) // MOST_POINTS)

@@ -17,9 +17,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
-from gsdf_registration.words import counted
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 from msg_adapters.files import words_of
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array, from_rt, rotation_from_quaternion
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array, from_rt, rotation_from_quaternion
 
 # stands for what a message says where it says no motion, for who carries the points to count
 NO_MOTION = np.full((4, 4), np.nan)

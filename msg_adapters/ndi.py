@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
-from gsdf_registration.words import counted
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 from msg_adapters.files import METRES, read_text
 from msg_adapters.recording import Recording
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
-from gsdf_registration.words import counted
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 from msg_adapters import ndi
 from msg_adapters.files import metres_per, readable_file
 from msg_adapters.mesh import load_surface

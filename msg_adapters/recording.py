@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 
 
 class Motion(NamedTuple):

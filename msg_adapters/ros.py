@@ -31,8 +31,8 @@ from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array, quaternion_from_rotation
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from msg_adapters import stamps
 from msg_adapters.motion import motion_from
 

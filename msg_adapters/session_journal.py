@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from gsdf_registration import __version__
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from gsdf_registration.session.events import Replay
 from msg_adapters.files import write_atomically
 from msg_adapters.session_file import now

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array, is_rigid
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array, is_rigid
 from msg_adapters.files import METRES, read_text, write_atomically
 
 SCHEMA = 'gsdf-truth/1'

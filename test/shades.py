@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsdf_registration import colours
-from gsdf_registration.rigid import Array
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.visualization import colours
 
 
 def like(image: Array, colour: str) -> Array:

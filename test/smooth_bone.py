@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import trimesh
 
-from gsdf_registration.bone import make_bone
+from gsdf_registration.common.rigid import Array, exp
 from gsdf_registration.field import Field, build_field
-from gsdf_registration.rigid import Array, exp
+from gsdf_registration.mesh.bone import make_bone
 
 LANDMARKS = np.array([[0.034, 0.0, 0.0], [0.0, 0.045, 0.0], [0.0, 0.0, 0.066]])
 T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
 from msg_adapters import markers
 
 CONFIG = Path(__file__).parents[1] / 'config'

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gsdf_registration.config import settings
-from gsdf_registration.session.collection import Rejection
+from gsdf_registration.common.config import settings
+from gsdf_registration.common.samples import Rejection
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / 'docs/troubleshooting.md').read_text()

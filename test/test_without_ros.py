@@ -25,7 +25,7 @@ sys.meta_path.insert(0, NoRos())
 # The only rooms that know ROS.
 WITH_ROS = ('gsdf_registration.node', 'msg_adapters.ros')
 # Scripts that run in the environments of other libraries.
-ELSEWHERE = ('gsdf_registration.benchmark.peers.workers.',)
+ELSEWHERE = ('benchmarks.peers.workers.',)
 
 
 def modules() -> list[str]:
@@ -49,14 +49,14 @@ def test_the_hook_hides_ros() -> None:
 def test_every_module_but_the_node_imports_without_ros() -> None:
     names = modules()
     assert {
-        'gsdf_registration.registration', 'gsdf_registration.session', 'gsdf_registration.replay',
+        'gsdf_registration.registration.pipeline', 'gsdf_registration.session', 'gsdf_registration.session.replay',
         'gsdf_registration.cli.main', 'msg_adapters.bag'
     } <= set(names)
     done = run(f'for name in {names!r}: importlib.import_module(name)')
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize('room', ['gsdf_registration.rigid', 'gsdf_registration.registration',
+@pytest.mark.parametrize('room', ['gsdf_registration.common.rigid', 'gsdf_registration.registration.pipeline',
                                   'gsdf_registration.session', 'gsdf_registration.field'])
 def test_the_algorithms_know_no_files_and_no_messages(room: str) -> None:
     done = run(

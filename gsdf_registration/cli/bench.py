@@ -8,7 +8,7 @@ from typing import Any
 
 from gsdf_registration.cli.common import example
 
-BENCHES = ('field', 'solve', 'search', 'trust', 'paper', 'guided', 'live')
+BENCHES = ('live',)
 
 
 def add_parser(subparsers: Any) -> None:

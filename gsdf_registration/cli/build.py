@@ -32,9 +32,9 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Build, and say what was built."""
-    from gsdf_registration.config import Config
+    from gsdf_registration.common.config import Config
     from gsdf_registration.field import save_field
-    from gsdf_registration.model import load_model
+    from gsdf_registration.field.model import load_model
 
     # the same range as for the setting model.voxel_size
     voxel_size = Config.from_flat({'model.voxel_size': 1e-3 * args.voxel}).model.voxel_size

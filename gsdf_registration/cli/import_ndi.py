@@ -7,7 +7,7 @@ import argparse
 from typing import Any
 
 from gsdf_registration.cli.common import example
-from gsdf_registration.words import counted
+from gsdf_registration.common.formatting import counted
 
 
 def add_parser(subparsers: Any) -> None:
@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Convert, and say what was converted."""
-    from gsdf_registration.result import InputError
+    from gsdf_registration.common.result import InputError
     from msg_adapters.bag_writer import BagWriter
     from msg_adapters.ndi import read_ndi
     from msg_adapters.recording import merge

@@ -17,9 +17,9 @@ from typing import NoReturn
 
 from gsdf_registration import __version__
 from gsdf_registration.cli.common import example
-from gsdf_registration.result import Refusal
+from gsdf_registration.common.result import Refusal
 
-SUBCOMMANDS = ('build', 'register', 'replay', 'import_ndi', 'simulate', 'show', 'demo', 'bench')
+SUBCOMMANDS = ('build', 'register', 'replay', 'import_ndi', 'simulate', 'show', 'demo')
 
 
 class Parser(argparse.ArgumentParser):

@@ -10,12 +10,12 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli import common
-from gsdf_registration.result import Refusal, RegistrationResult
+from gsdf_registration.common.result import Refusal, RegistrationResult
 
 if TYPE_CHECKING:
-    from gsdf_registration.config import Config
+    from gsdf_registration.common.config import Config
+    from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
-    from gsdf_registration.rigid import Array
     from gsdf_registration.session import LandmarkPairs
     from msg_adapters.recording import Recording
 
@@ -83,9 +83,9 @@ def registered(recording: Recording, field: Field, config: Config, landmarks: La
     """
     import numpy as np
 
-    from gsdf_registration.registration import register
-    from gsdf_registration.replay import replay
-    from gsdf_registration.session.collection import Rejection
+    from gsdf_registration.common.samples import Rejection
+    from gsdf_registration.registration.pipeline import register
+    from gsdf_registration.session.replay import replay
 
     if recording.stamps is None:
         finite = np.isfinite(recording.positions).all(axis=1)

@@ -15,12 +15,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli import common
-from gsdf_registration.result import InputError, Refusal, RegistrationResult
+from gsdf_registration.common.result import InputError, Refusal, RegistrationResult
 
 if TYPE_CHECKING:
-    from gsdf_registration.config import Config
+    from gsdf_registration.common.config import Config
+    from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
-    from gsdf_registration.rigid import Array
     from gsdf_registration.session import LandmarkPairs
 
 
@@ -128,7 +128,7 @@ def replay_bag(bag: str, job: Job) -> Outcome:
     """Replay one bag, whatever comes of it."""
     from gsdf_registration.cli.result_json import result_to_json
     from gsdf_registration.cli.summary import summary, true_error
-    from gsdf_registration.replay import replay
+    from gsdf_registration.session.replay import replay
     from msg_adapters.truth import read_truth, truth_path
 
     started = time.perf_counter()

@@ -6,9 +6,9 @@ from __future__ import annotations
 from typing import Any
 
 from gsdf_registration import __version__
-from gsdf_registration.config import Config
-from gsdf_registration.result import RegistrationResult, WeakestDirection
-from gsdf_registration.rigid import quaternion_from_rotation
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import RegistrationResult, WeakestDirection
+from gsdf_registration.common.rigid import quaternion_from_rotation
 from gsdf_registration.session.record import plain
 
 SCHEMA = 'gsdf-registration/1'

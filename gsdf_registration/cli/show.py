@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli import common
-from gsdf_registration.result import ON_BONE, InputError, Refusal
+from gsdf_registration.common.result import ON_BONE, InputError, Refusal
 
 if TYPE_CHECKING:
-    from gsdf_registration.config import Config
+    from gsdf_registration.common.config import Config
+    from gsdf_registration.common.rigid import Array
+    from gsdf_registration.common.samples import Points
     from gsdf_registration.field import Field
-    from gsdf_registration.live.survey import Survey
-    from gsdf_registration.rigid import Array
-    from gsdf_registration.session.collection import Points
+    from gsdf_registration.live.assessment import FullAssessment
 
 
 def add_parser(subparsers: Any) -> None:
@@ -41,9 +41,9 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look at what was touched, draw it, say what it is worth; 1 if `register` would refuse it."""
-    from gsdf_registration.live.survey import survey
-    from gsdf_registration.report.picture import require_matplotlib, write_picture
-    from gsdf_registration.report.view import Scene
+    from gsdf_registration.live.assessment import survey
+    from gsdf_registration.visualization.picture import require_matplotlib, write_picture
+    from gsdf_registration.visualization.view import Scene
     require_matplotlib()
     config = common.effective_config(args)
     with common.busy('loading the bone'):
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     points, guess = _touched(args, field, config)
     with common.busy('looking where the bone is'):
         found = survey(points, field, config, None, 0, guess, (), lambda: False)
-    no = found.objection
+    no = found.rejection_reason
     verdict = _praise(found) if no is None else f'Refused: {no.message}'
     with common.busy('drawing'):
         write_picture(args.output, Scene(found, field, config.limits), verdict, no is None)
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if no is None else 1
 
 
-def _praise(found: Survey) -> str:
+def _praise(found: FullAssessment) -> str:
     inliers = int((found.weights > ON_BONE).sum())
     return (f'Accepted: {inliers} of {len(found.weights)} points lie on the bone; expected error '
             f'{1e3 * found.predicted_tre_m["rms"]:.1f} mm (RMS) over the bone')
@@ -72,10 +72,10 @@ def _touched(args: argparse.Namespace, field: Field,
     """Return the points, and T_bone_tracker to look round, if anything tells of it."""
     import numpy as np
 
-    from gsdf_registration.registration import first_guess
-    from gsdf_registration.replay import collected
+    from gsdf_registration.common.samples import Points
+    from gsdf_registration.registration.pipeline import first_guess
     from gsdf_registration.session import Session
-    from gsdf_registration.session.collection import Points
+    from gsdf_registration.session.replay import collected
     from msg_adapters.points import read_points
     from msg_adapters.session_file import read_session
 

@@ -8,11 +8,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from gsdf_registration.result import InputError
-from gsdf_registration.words import counted
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
-    from gsdf_registration.rigid import Array
+    from gsdf_registration.common.rigid import Array
     from gsdf_registration.simulation.interference import Interference
     from gsdf_registration.simulation.moving import Sway
     from gsdf_registration.simulation.patch import Patch
@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     """Simulate, write bag and truth, say so in one line; `InputError` for what cannot be."""
     import numpy as np
 
-    from gsdf_registration.rigid import inverse, transform
+    from gsdf_registration.common.rigid import inverse, transform
     from gsdf_registration.simulation.probe import Hand, drag, random_pose, rest
     from msg_adapters.truth import Truth, truth_path, write_truth
 
@@ -158,7 +158,7 @@ def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag, sway: Sway |
     """Write the landmarks, then the run, and where the reference array was meanwhile."""
     import numpy as np
 
-    from gsdf_registration.rigid import inverse, transform
+    from gsdf_registration.common.rigid import inverse, transform
     from msg_adapters.bag import LANDMARK_TOPIC, TIP_TOPIC
     from msg_adapters.bag_writer import BagWriter
 
@@ -182,7 +182,7 @@ def _sway(args: argparse.Namespace, wound: Array) -> Sway | None:
     """Return how an array 0.1 m beside the wound (3,), m, moves; None if there is none."""
     import numpy as np
 
-    from gsdf_registration.rigid import from_rt
+    from gsdf_registration.common.rigid import from_rt
     from gsdf_registration.simulation.moving import Sway
 
     if not args.move:
@@ -200,7 +200,7 @@ def _relative(model: str, output: str) -> str:
 
 def _patch(args: argparse.Namespace) -> Patch:
     """Return what the wound exposes."""
-    from gsdf_registration.bone import make_bone
+    from gsdf_registration.mesh.bone import make_bone
     from gsdf_registration.simulation.patch import exposed_patch
     from gsdf_registration.simulation.regions import named_patch
     from msg_adapters.files import metres_per

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gsdf_registration.cli.common import counts_by_cause
+from gsdf_registration.common.result import RegistrationResult
+from gsdf_registration.common.rigid import Array, angle_between, displacement
 from gsdf_registration.field import Field
-from gsdf_registration.result import RegistrationResult
-from gsdf_registration.rigid import Array, angle_between, displacement
 
 
 def summary(result: RegistrationResult,

@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
+from gsdf_registration.common.numba_options import compiled
 from gsdf_registration.field.candidates import GROUPS, LANES, gather, measure, narrow
-from gsdf_registration.field.jit import compiled
 from gsdf_registration.field.sample import CELLS, NODES
 from gsdf_registration.field.triangles import write_sample
 

@@ -7,11 +7,11 @@ import os
 
 import numpy as np
 
-from gsdf_registration.bone import Bone
 from gsdf_registration.field.field import Field
 from gsdf_registration.field.from_cloud import fill_from_cloud
 from gsdf_registration.field.from_mesh import fill_from_mesh
 from gsdf_registration.field.grid import Grid
+from gsdf_registration.mesh.bone import Bone
 
 
 def build_field(bone: Bone, voxel_size: float = 0.001, threads: int = 0) -> Field:

@@ -7,11 +7,11 @@ import logging
 import os
 from pathlib import Path
 
-from gsdf_registration.bone import Bone
+from gsdf_registration.common.result import InputError
 from gsdf_registration.field.build import build_field
 from gsdf_registration.field.field import Field
 from gsdf_registration.field.store import VERSION, load_field, save_field
-from gsdf_registration.result import InputError
+from gsdf_registration.mesh.bone import Bone
 
 _log = logging.getLogger('gsdf_registration')
 

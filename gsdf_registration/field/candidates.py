@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsdf_registration.field.jit import compiled, vectorized
+from gsdf_registration.common.numba_options import compiled, vectorized
 from gsdf_registration.field.sample import CELLS, NODES
 from gsdf_registration.field.triangles import closest, offset
 

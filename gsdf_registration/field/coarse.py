@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from gsdf_registration.field.jit import compiled, inlined
+from gsdf_registration.common.numba_options import compiled, inlined
 from gsdf_registration.field.triangles import distance2, write_sample
 
 

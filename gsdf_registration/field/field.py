@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.sample import FieldArrays, sample_many
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.grid import Grid
 from gsdf_registration.field.sample import NODES, FieldArrays
 from gsdf_registration.field.surface import thin_out
-from gsdf_registration.rigid import Array
 
 BLOCKS = 256    # filled at a time: memory
 

@@ -8,13 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.blocks import copy_far_sides, fill_blocks
 from gsdf_registration.field.coarse import fill_coarse, mark_cells, spread
 from gsdf_registration.field.grid import Grid, Nodes
 from gsdf_registration.field.sample import CELLS, FieldArrays
 from gsdf_registration.field.surface import sample_triangles
 from gsdf_registration.field.tree import build_tree
-from gsdf_registration.rigid import Array
 
 # Work is shared out in pieces that do not overlap and do not depend on the number of threads:
 BLOCKS = 256    # at a time

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.sample import CELLS, NODES, FieldArrays
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
 
 BAND = 3.0              # half width of the band round the surface that is divided, voxels
 MARGIN = 3              # coarse cells round the surface

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from gsdf_registration.field.jit import compiled, inlined
-from gsdf_registration.rigid import Array
+from gsdf_registration.common.numba_options import compiled, inlined
+from gsdf_registration.common.rigid import Array
 
 
 def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:

@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba as nb
 import numpy as np
 
+from gsdf_registration.common.numba_options import inlined_kernel, kernel
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.lanes import blend_nodes
-from gsdf_registration.rigid import Array
 
 CELLS = 4           # fine cells along an edge of a block
 # nodes along an edge: a block holds its far faces too, so that no cell spans two blocks
@@ -29,15 +29,6 @@ _f = np.float32
 _u = np.uint64      # unsigned indices spare the kernels the check for negative ones
 # the block of a fine cell and its place there, of a power of two
 SHIFT, LAST = _u(CELLS.bit_length() - 1), _u(CELLS - 1)
-
-# A call passes the whole field by value, 30 words: inlining halves the time of a sample.
-# Products may be fused with sums (FMA), which loses no precision; order and all else stay
-# as written.
-_options: dict[str, Any] = {
-    'nogil': True, 'cache': True, 'error_model': 'numpy', 'fastmath': {'contract'}
-}
-_inline = nb.njit(forceinline=True, **_options)
-compiled = nb.njit(**_options)
 
 
 class FieldArrays(NamedTuple):
@@ -63,7 +54,7 @@ class FieldArrays(NamedTuple):
     first_coarse: int
 
 
-@_inline
+@inlined_kernel
 def _blend(nodes, at, stride_x, stride_y, u, v, w, step):
     """Blend the cell with first node row ``at``, at (u, v, w) in [0, 1]^3; ``step``: spacing."""
     d, gx, gy, gz, x, y, z = blend_nodes(nodes, at, stride_x, stride_y, u, v, w)
@@ -77,7 +68,7 @@ def _blend(nodes, at, stride_x, stride_y, u, v, w, step):
     return float(d), float(gx * s), float(gy * s), float(gz * s)
 
 
-@_inline
+@inlined_kernel
 def _sample_cell(field, i, j, k, u, v, w):
     """Sample at (u, v, w) in [0, 1]^3 of coarse cell (i, j, k)."""
     block = field.block_of[i, j, k]
@@ -96,7 +87,7 @@ def _sample_cell(field, i, j, k, u, v, w):
     return _blend(field.nodes, at, stride_x, stride_y, _f(u), _f(v), _f(w), _f(step))
 
 
-@compiled
+@kernel
 def _sample_outside(field, px, py, pz):
     """Sample outside the box: measure from the surface point nearest to where the box is left."""
     if not math.isfinite(px + py + pz):     # it has no cell: reading one would leave the array
@@ -113,7 +104,7 @@ def _sample_outside(field, px, py, pz):
     return d, rx / d, ry / d, rz / d
 
 
-@_inline
+@inlined_kernel
 def sample(field, x, y, z):
     """Return (distance, gx, gy, gz) of the `FieldArrays` at any one point in space, in metres."""
     per_edge = 1.0 / (CELLS * field.voxel)
@@ -127,24 +118,7 @@ def sample(field, x, y, z):
     return _sample_outside(field, px, py, pz)
 
 
-@_inline
-def sample_coarse(field, x, y, z):
-    """Return (distance, gx, gy, gz) from the nearest coarse node, one fetch: for a wide search."""
-    edge = CELLS * field.voxel
-    bx, by, bz = field.block_of.shape
-    px = (x - field.origin[0]) / edge
-    py = (y - field.origin[1]) / edge
-    pz = (z - field.origin[2]) / edge
-    # the nearest node inside the box; beyond it its plane goes on
-    i = _u(min(max(px + 0.5, 0.0), float(bx)))
-    j = _u(min(max(py + 0.5, 0.0), float(by)))
-    k = _u(min(max(pz + 0.5, 0.0), float(bz)))
-    at = _u(field.first_coarse) + (i * _u(by + 1) + j) * _u(bz + 1) + k
-    gx, gy, gz = field.nodes[at, 1], field.nodes[at, 2], field.nodes[at, 3]
-    return field.nodes[at, 0] + edge * (gx * (px - i) + gy * (py - j) + gz * (pz - k)), gx, gy, gz
-
-
-@compiled
+@kernel
 def sample_batch(field, x, origin, n, value):
     """
     Fill ``value`` (4, BATCH) float32, distance and gradient, at the first ``n`` points of a batch.
@@ -169,7 +143,7 @@ def sample_batch(field, x, origin, n, value):
                 field, origin[0] + x[0, k], origin[1] + x[1, k], origin[2] + x[2, k])
 
 
-@compiled
+@kernel
 def _find(x, shift, voxel, cells, n, cell, share):
     """Fill the fine cell along one axis, -1 outside the box, and how far into it each point is."""
     per_cell = 1.0 / voxel
@@ -181,7 +155,7 @@ def _find(x, shift, voxel, cells, n, cell, share):
         share[k] = place - np.int32(place)
 
 
-@compiled
+@kernel
 def _blend_batch(field, cell, share, n, value):
     """Fill ``value`` from the fine nodes; the gradients as they are blended, zero without nodes."""
     half, one = _f(0.5 * field.voxel), _f(1.0)
@@ -201,7 +175,7 @@ def _blend_batch(field, cell, share, n, value):
         value[0, k] = d - half * (u * (one - u) * x + v * (one - v) * y + w * (one - w) * z)
 
 
-@compiled
+@kernel
 def _normalize(value, n):
     """Give the gradients unit length, or none if they cancel; return how many have it."""
     count = 0
@@ -214,7 +188,7 @@ def _normalize(value, n):
     return count
 
 
-@compiled
+@kernel
 def sample_many(field, points, distance, gradient):
     """Fill ``distance`` (n,) and ``gradient`` (n, 3) at ``points`` (n, 3)."""
     x = np.empty((3, BATCH))

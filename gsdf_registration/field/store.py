@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from gsdf_registration.common.result import InputError
 from gsdf_registration.field.field import Field
 from gsdf_registration.field.sample import FieldArrays
-from gsdf_registration.result import InputError
 
 MAGIC = b'GSDF\r\n\x1a\n'     # as PNG's: a file mangled as text is noticed at once
 VERSION = 1

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.tree import Tree
-from gsdf_registration.rigid import Array
 
 SPACING = 0.002     # m: one point on SPACING^2 of surface
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gsdf_registration.field.jit import compiled
+from gsdf_registration.common.numba_options import compiled
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.pseudonormals import pseudonormals
-from gsdf_registration.rigid import Array
 
 LEAF = 16    # triangles in a leaf of the tree, at most
 

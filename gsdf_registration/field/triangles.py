@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from gsdf_registration.field.jit import inlined
+from gsdf_registration.common.numba_options import inlined
 
 
 @inlined

@@ -17,21 +17,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Reason
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
-from gsdf_registration.live.survey import Survey, survey
-from gsdf_registration.live.warm import WarmPose
-from gsdf_registration.result import Reason
-from gsdf_registration.rigid import Array
-from gsdf_registration.session.collection import Points
-from gsdf_registration.session.strokes import StrokeReport
+from gsdf_registration.live.assessment import FullAssessment, survey
+from gsdf_registration.live.warm_pose import WarmPose
+from gsdf_registration.registration.stroke_report import StrokeReport
 from gsdf_registration.solver import Solution
 
 # The bone is searched for again with so many times the points on strokes of the last search: with
 # a pose to follow, without one, and when what speaks against it has changed
 GROWN, GROWN_IN_DOUBT, GROWN_IN_CHANGE = 2.0, 1.2, 1.1
 
-Job = Callable[[Callable[[], bool]], Survey]    # told whether to give up
+Job = Callable[[Callable[[], bool]], FullAssessment]    # told whether to give up
 
 
 class LivePose(NamedTuple):
@@ -87,13 +87,13 @@ class LiveRegistration:
     def __init__(self, field: Field, config: Config) -> None:
         self.config = config
         self.revision, self.count = -1, 0       # as `Session.points_since` wants them
-        self.survey: Survey | None = None       # the last one
+        self.survey: FullAssessment | None = None       # the last one
         self.ready = False      # whether a search has found a pose that `register` would accept
         self._field = field
         self._chunks: list[Points] = []
         self._pose: WarmPose | None = None
         self._before: Solution | None = None    # what was followed before points were dropped
-        self._search: Survey | None = None      # the last one that searched
+        self._search: FullAssessment | None = None      # the last one that searched
         self._looked = -1       # the revision that was last looked at
 
     def follow(self, revision: int, points: Points) -> LivePose | None:
@@ -128,18 +128,18 @@ class LiveRegistration:
         before = self._before if self._pose is None else self._pose.solution
         # what followed points that were dropped goes on at once; the search comes next
         search = search and self._before is None
-        last = () if self._search is None else self._search.objections
+        last = () if self._search is None else self._search.rejection_reasons
         return partial(survey, self._held(), self._field, self.config, before,
                        self._search_from() if search else float('inf'), guess, last)
 
-    def accept(self, survey: Survey) -> LivePose | None:
+    def accept(self, survey: FullAssessment) -> LivePose | None:
         """Go on from a survey, unless points were dropped meanwhile; returns what `follow` does."""
         if self._looked != self.revision:
             return None
         self.survey, self._pose, self._before = survey, survey.pose, None
         if survey.searched:
             self._search = survey
-            self.ready = survey.trusted and not survey.objections
+            self.ready = survey.trusted and not survey.rejection_reasons
         held = self._held()
         if self._pose is not None:
             self._pose.add(held.positions[len(survey.points.stamps):])
@@ -172,7 +172,7 @@ class LiveRegistration:
         error = '' if tre is None else f'; expected error {1e3 * tre:.1f} mm (RMS) over the bone'
         if self.ready:
             return replace(known, message=f'enough: register now{error}')
-        no = survey.objection
+        no = survey.rejection_reason
         if no is not None:
             few = no.reason is Reason.TOO_FEW_POINTS    # how many there are changes all the time
             message = (f'drag the probe over the bone: {self.config.limits.min_points} points at '
@@ -217,5 +217,5 @@ class LiveRegistration:
         return LivePose(self._pose.T_tracker_bone, covariance, float(stamp))
 
 
-def _reasons(survey: Survey) -> set[Reason]:
-    return {refusal.reason for refusal in survey.objections}
+def _reasons(survey: FullAssessment) -> set[Reason]:
+    return {refusal.reason for refusal in survey.rejection_reasons}

@@ -14,15 +14,15 @@ from rclpy.duration import Duration
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.samples import Rejection, Sample
 from gsdf_registration.node import transforms
 from gsdf_registration.node.qos import POINTS, UNWATCHED_POINTS
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
-from gsdf_registration.session.collection import Rejection
 from gsdf_registration.tracking.clock import BACK
-from gsdf_registration.tracking.feed import Feed, Sample
 from gsdf_registration.tracking.frames import Frames
+from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters import ros
 from msg_adapters.motion import NO_MOTION
 
@@ -41,7 +41,7 @@ class Inputs:
 
     def __init__(self, node: RegistrationNode, config: Config) -> None:
         self._node = node
-        self._feed = Feed(config, self, None)
+        self._feed = PointTransformer(config, self, None)
         self._refused = -RECENT     # when a point was last refused here, s
         self._behind = 0.0      # s that the last message which tells of motion waited for us
         self._frames: Frames | None = None

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from gsdf_registration.config import SessionConfig
-from gsdf_registration.result import InputError
+from gsdf_registration.common.config import SessionConfig
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError
 from gsdf_registration.session import Session
-from gsdf_registration.words import counted
 from msg_adapters.session_journal import SessionJournal, journal_path, read_journal, set_aside
 
 NO_JOURNAL = SessionJournal(Path(), lambda complaint: None)     # of a node without a session

@@ -11,12 +11,12 @@ from contextlib import contextmanager
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.field import Field
-from gsdf_registration.live.warm import WarmPose
-from gsdf_registration.model import load_model
-from gsdf_registration.registration import register
-from gsdf_registration.result import InputError, Reason
+from gsdf_registration.field.model import load_model
+from gsdf_registration.live.warm_pose import WarmPose
+from gsdf_registration.registration.pipeline import register
 from gsdf_registration.solver import solve
 
 

@@ -62,8 +62,8 @@ class _Life(threading.Thread):
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
 
+        from gsdf_registration.common.result import InputError
         from gsdf_registration.node.node import RegistrationNode
-        from gsdf_registration.result import InputError
 
         try:
             rclpy.init(args=self._args, signal_handler_options=SignalHandlerOptions.NO)

@@ -12,24 +12,24 @@ from typing import Any
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from gsdf_registration.config import Config, settings
+from gsdf_registration.common.config import Config, settings
+from gsdf_registration.common.formatting import length
+from gsdf_registration.common.result import InputError
 from gsdf_registration.field import Field
-from gsdf_registration.judgement import moved
-from gsdf_registration.node.exchange import BoneExchange
+from gsdf_registration.live.worker import Live
 from gsdf_registration.node.inputs import Inputs
 from gsdf_registration.node.journal import NO_JOURNAL, check_path, follow, keep_journal
-from gsdf_registration.node.live import Live
 from gsdf_registration.node.loading import load
+from gsdf_registration.node.model_reloader import ModelReloader
 from gsdf_registration.node.outputs import Outputs
 from gsdf_registration.node.parameters import declare_parameters, watch_parameters
 from gsdf_registration.node.publishers import StatusPublisher
 from gsdf_registration.node.services import Services
 from gsdf_registration.node.status import with_live
-from gsdf_registration.result import InputError
+from gsdf_registration.registration.acceptance import moved
 from gsdf_registration.session import Session
+from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.status import Status
-from gsdf_registration.session.touches import Answer
-from gsdf_registration.words import length
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
@@ -82,7 +82,7 @@ class RegistrationNode(LifecycleNode):
         self.live = Live(self)
         self._status = StatusPublisher(self)
         self._serving = Services(self)
-        self._exchange = BoneExchange(self)
+        self._exchange = ModelReloader(self)
         self.create_timer(1.0, self._tick)
         watch_parameters(self, lambda: self.config, self._why_fixed, self._change)
 

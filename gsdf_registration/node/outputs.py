@@ -9,11 +9,11 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Touch
 from gsdf_registration.field import Field
-from gsdf_registration.guidance import Touch
 from gsdf_registration.live import LivePose
-from gsdf_registration.live.survey import Survey
+from gsdf_registration.live.assessment import FullAssessment
 from gsdf_registration.node.publishers import PosePublishers
 from gsdf_registration.node.scene import ScenePublisher
 from gsdf_registration.session import Session
@@ -52,7 +52,7 @@ class Outputs:
         """Publish the present estimate."""
         self._poses.publish_live(pose, frame_id)
 
-    def survey(self, survey: Survey, session: Session) -> None:
+    def survey(self, survey: FullAssessment, session: Session) -> None:
         """Show what the live registration has found if it may be, else what was registered."""
         if survey.trusted:
             self._draw(survey.T_tracker_bone, survey.covariance, survey.points.positions,

@@ -19,9 +19,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from gsdf_registration.config import Config, settings
-from gsdf_registration.declaration import default_of
-from gsdf_registration.result import InputError
+from gsdf_registration.common.config import Config, settings
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.settings_schema import default_of
 
 # What rclpy and launch set on every node, and what only a node has; all else is in config.py.
 FOREIGN = ('use_sim_time', 'start_type_description_service', 'autostart', 'qos_overrides')

@@ -13,11 +13,11 @@ try:
 except ImportError:     # not among the wheels; on a ROS install it is there
     TFMessage = None
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.live import LivePose, LiveStatus
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
 from gsdf_registration.node.status import status_message
-from gsdf_registration.result import RegistrationResult
 from gsdf_registration.session.status import Status
 from msg_adapters import ros
 

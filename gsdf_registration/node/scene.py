@@ -12,14 +12,15 @@ from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from gsdf_registration import colours
-from gsdf_registration.confidence import predicted_tre
-from gsdf_registration.config import Config
-from gsdf_registration.decimation import Faces, drawn_surface
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Touch
+from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.field import Field
-from gsdf_registration.guidance import PATCH, Touch
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
-from gsdf_registration.rigid import Array, inverse, transform
+from gsdf_registration.registration.confidence import predicted_tre
+from gsdf_registration.registration.guidance import PATCH
+from gsdf_registration.visualization import colours
+from gsdf_registration.visualization.decimation import Faces, drawn_surface
 from msg_adapters import markers, ros
 from msg_adapters.marker_cdr import Marker, to_bytes
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import SetBool, Trigger
 
+from gsdf_registration.common.result import InputError
 from gsdf_registration.node.status import pose_kept
 from gsdf_registration.node.worker import Worker
-from gsdf_registration.result import InputError
-from gsdf_registration.session.touches import Answer
+from gsdf_registration.session.landmark_capture import Answer
 from msg_adapters.session_file import read_session, write_session
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.live import LiveStatus
-from gsdf_registration.result import Reason, RegistrationResult
+from gsdf_registration.registration.stroke_report import interference
 from gsdf_registration.session.status import Status
-from gsdf_registration.session.strokes import interference
 from msg_adapters.ros import diagnostic_status
 
 LEVELS = {'no_model': DiagnosticStatus.ERROR, 'refused': DiagnosticStatus.WARN}     # the others: OK

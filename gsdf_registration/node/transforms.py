@@ -22,9 +22,9 @@ try:
 except ImportError:     # not among the wheels; on a ROS install it is there
     TFMessage = None
 
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.node.qos import POINTS
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
 from msg_adapters import ros
 
 # as tf2_ros listens: each broadcaster keeps its transforms for late joiners

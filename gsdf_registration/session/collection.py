@@ -13,28 +13,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsdf_registration.config import GateConfig
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import FARTHEST, Array
-from gsdf_registration.session.tip_stream import AGREEING, Position, Rejection, TipStream
-
-__all__ = ['AGREEING', 'FIRST_ROOM', 'Collection', 'Points', 'Rejection', 'Stroke']
+from gsdf_registration.common.config import GateConfig
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import FARTHEST
+from gsdf_registration.common.samples import Points, Position, Rejection
+from gsdf_registration.session.tip_stream import TipStream
 
 FIRST_ROOM = 1024   # points
-
-
-class Points(NamedTuple):
-    """Collected points, row by row in the order they came."""
-
-    positions: Array        # (n, 3) m, frame of the session
-    stamps: Array           # (n,) s, clock of their source
-    strokes: np.ndarray     # (n,) int32 from 1, a number missing after an undo; rising in a source
-    sources: np.ndarray     # (n,) int32
 
 
 @dataclass

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from gsdf_registration.session.holdings import Holdings
+from gsdf_registration.session.state import SessionState
 
 REMARKED = 10       # times ``limits.min_points`` points later a remark is no news any more
 
@@ -11,7 +11,7 @@ REMARKED = 10       # times ``limits.min_points`` points later a remark is no ne
 class News:
     """What has happened last to a session; not thread-safe."""
 
-    def __init__(self, holds: Holdings) -> None:
+    def __init__(self, holds: SessionState) -> None:
         self._holds = holds
         self._registered = False    # whether a registration, good or not, is the latest thing
         self._remark = ''

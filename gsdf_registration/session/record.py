@@ -22,11 +22,11 @@ import numba
 import numpy as np
 
 from gsdf_registration import __version__
-from gsdf_registration.config import Config
-from gsdf_registration.result import InputError, Reason, RegistrationResult, WeakestDirection
-from gsdf_registration.rigid import Array, is_rigid
-from gsdf_registration.session.collection import Points
-from gsdf_registration.session.touches import CapturedLandmark
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError, Reason, RegistrationResult, WeakestDirection
+from gsdf_registration.common.rigid import Array, is_rigid
+from gsdf_registration.common.samples import Points
+from gsdf_registration.session.landmark_capture import CapturedLandmark
 from gsdf_registration.session.verification import Verification
 
 COLUMNS = ('stroke', 'source', 'stamp', 'x', 'y', 'z', 'residual', 'weight')

@@ -13,20 +13,20 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import InputError, Reason, RegistrationResult
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.samples import Points, Rejection
 from gsdf_registration.field import Field
-from gsdf_registration.registration import register
-from gsdf_registration.result import InputError, Reason, RegistrationResult
-from gsdf_registration.rigid import Array
-from gsdf_registration.session.collection import Points, Rejection
+from gsdf_registration.registration.pipeline import register
+from gsdf_registration.session.accepted_registration import AcceptedRegistration
 from gsdf_registration.session.events import Listener
-from gsdf_registration.session.holdings import Holdings
+from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.news import News
 from gsdf_registration.session.record import SessionRecord
-from gsdf_registration.session.standing_pose import StandingPose
+from gsdf_registration.session.state import SessionState
 from gsdf_registration.session.status import Status, held, pose_stands, status_of
-from gsdf_registration.session.touches import Answer
-from gsdf_registration.words import counted
 
 __all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
 
@@ -38,7 +38,7 @@ class Session:
 
     def __init__(self, config: Config, field: Field | None = None) -> None:
         self._lock = threading.Lock()
-        self._holds = Holdings(config, field)
+        self._holds = SessionState(config, field)
         self._solving = False
         self._news = News(self._holds)
         # changes with the model and when points are dropped: older solves are void
@@ -174,7 +174,7 @@ class Session:
             if self._era != era:
                 return RegistrationResult.refused(
                     Reason.NOT_CONVERGED, 'points or model were dropped meanwhile; register again')
-            answer = holds.register(StandingPose(dataclasses.replace(result, received=received),
+            answer = holds.register(AcceptedRegistration(dataclasses.replace(result, received=received),
                                                  points, serials, frame_id))
             self._news.registration()
             return answer

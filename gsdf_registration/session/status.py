@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gsdf_registration.result import Reason, RegistrationResult
-from gsdf_registration.session.collection import Collection, Rejection
-from gsdf_registration.session.holdings import Holdings
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.samples import Rejection
+from gsdf_registration.registration.stroke_report import StrokeReport
+from gsdf_registration.session.collection import Collection
 from gsdf_registration.session.news import News
-from gsdf_registration.session.strokes import StrokeReport
+from gsdf_registration.session.state import SessionState
 from gsdf_registration.session.verification import VerificationSummary, summary
-from gsdf_registration.words import counted
 
 
 @dataclass(frozen=True)
@@ -58,18 +59,18 @@ _ADVICE = {
 }
 
 
-def held(holds: Holdings) -> str:
+def held(holds: SessionState) -> str:
     """Return how much a session holds."""
     points, strokes = len(holds.collection), holds.collection.strokes
     return f'{counted(points, "point")} in {counted(strokes, "stroke")} held'
 
 
-def pose_stands(holds: Holdings) -> str:
+def pose_stands(holds: SessionState) -> str:
     """Return what becomes of the last good pose when something is dropped."""
     return '' if holds.pose is None else '; the last good pose stands until the next registration'
 
 
-def status_of(holds: Holdings, solving: bool, news: News) -> Status:
+def status_of(holds: SessionState, solving: bool, news: News) -> Status:
     """Return a session at a glance."""
     collection, touches = holds.collection, holds.touches
     pose = None if holds.pose is None else holds.pose.result

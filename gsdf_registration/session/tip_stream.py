@@ -12,12 +12,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from enum import Enum
 
-from gsdf_registration.config import GateConfig
+from gsdf_registration.common.config import GateConfig
+from gsdf_registration.common.samples import AGREEING, Position, Rejection
 
-# this many in a row that agree outweigh what went before: a single reading may be wild
-AGREEING = 3
 # s, over which speed is judged at least: at 1 kHz the noise of two readings alone makes a fast tip
 SHORTEST = 0.01
 # s, over which the speed of the hand is taken: it outlasts a jerk, and the tracker's noise is small
@@ -27,36 +25,6 @@ LANDED = 0.7        # of the speed of lifting off: a tip in the air is down agai
 USUAL, SLOWEST = 0.03, 0.012
 # s, over which the speed of a hand is learnt: some strokes; longer in the air, which is not a bone
 MEMORY, AIR_MEMORY = 8.0, 32.0
-
-
-class Rejection(str, Enum):
-    """Why a point was not kept."""
-
-    NOT_FINITE = 'not_finite'
-    WRONG_FRAME = 'wrong_frame'
-    NO_REFERENCE = 'no_reference'   # no pose of the reference array at its stamp
-    NOT_MONOTONIC = 'not_monotonic'
-    STALE = 'stale'
-    POOR_QUALITY = 'poor_quality'
-    NOT_COLLECTING = 'not_collecting'
-    TOUCHED = 'touched'     # of a tip resting for a landmark or a verification: not for the fit
-    DUPLICATE = 'duplicate'
-    TOO_FAST = 'too_fast'
-    FULL = 'full'
-
-    def __str__(self) -> str:
-        """Return the lower-case word used in JSON, logs and status."""
-        return self.value
-
-    @property
-    def is_of_sample(self) -> bool:
-        """Whether the sample itself is at fault: good for nothing, not even a landmark."""
-        return self in _OF_SAMPLE
-
-
-_OF_SAMPLE = frozenset({Rejection.NOT_FINITE, Rejection.WRONG_FRAME, Rejection.NO_REFERENCE,
-                        Rejection.NOT_MONOTONIC, Rejection.STALE, Rejection.POOR_QUALITY})
-Position = tuple[float, float, float]
 
 
 class TipStream:

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.field import Field
-from gsdf_registration.rigid import Array, transform
-from gsdf_registration.session.tip import Rest
-from gsdf_registration.words import counted
+from gsdf_registration.session.stationary_tip import StationaryTip
 
 SAME_PLACE = 0.005      # m; touched nearer to an earlier place than this, that one is meant
 
@@ -62,7 +62,7 @@ def distance_to(field: Field, T_bone_tracker: Array, position: Array) -> float:
     return float(field.sample(transform(T_bone_tracker, position)[None])[0][0])
 
 
-def verified(rest: Rest, distance: float, earlier: Sequence[Verification]) -> Verification:
+def verified(rest: StationaryTip, distance: float, earlier: Sequence[Verification]) -> Verification:
     """Return what was touched, as a checkpoint that is new or one of the ``earlier`` places."""
     first = {each.checkpoint: each for each in reversed(earlier)}
     away = {number: float(np.linalg.norm(rest.position - each.position))

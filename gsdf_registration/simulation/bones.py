@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy import sparse
 
-from gsdf_registration.rigid import Array
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.simulation import femur, hip
 from gsdf_registration.simulation.implicit import Points
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsdf_registration.rigid import Array
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.simulation.implicit import (
     Points,
     carve,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from gsdf_registration.rigid import Array, rotation_exp
+from gsdf_registration.common.rigid import Array, rotation_exp
 
 Points = tuple[Array, Array, Array]
 

@@ -16,8 +16,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array, rotation_from_quaternion
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array, rotation_from_quaternion
 from gsdf_registration.simulation.patch import Patch, walk, whole_surface
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gsdf_registration.rigid import Array, from_rt, rotation_exp
+from gsdf_registration.common.rigid import Array, from_rt, rotation_exp
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
+from gsdf_registration.common.numba_options import compiled
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 
 FACING = -0.3       # the cosine to the approach direction beyond which the tip cannot reach round
 
@@ -157,23 +157,23 @@ def _component(neighbours: NDArray[np.int32], seed: int) -> NDArray[np.bool_]:
     return np.asarray(label == label[seed])
 
 
-@nb.njit(nogil=True, cache=True)
+@compiled
 def _cross(a: Array, b: Array) -> Array:
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-@nb.njit(nogil=True, cache=True)
+@compiled
 def _unit(a: Array) -> Array:
     return a / math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@nb.njit(nogil=True, cache=True)
+@compiled
 def _turned(d: Array, n: Array, angle: float) -> Array:
     return _unit(math.cos(angle) * d + math.sin(angle) * _cross(n, d))
 
 
-@nb.njit(nogil=True, cache=True)
+@compiled
 def _walk(corners: Array, normals: Array, neighbours: NDArray[np.int32], starts: Array,
           faces: NDArray[np.int64], headings: Array, strokes: NDArray[np.int64], steps: Array,
           turns: Array, points: Array, triangles: NDArray[np.int64]) -> None:
@@ -193,7 +193,7 @@ def _walk(corners: Array, normals: Array, neighbours: NDArray[np.int32], starts:
         triangles[i] = f
 
 
-@nb.njit(nogil=True, cache=True)
+@compiled
 def _step(corners: Array, normals: Array, neighbours: NDArray[np.int32], p: Array, d: Array, f: int,
           length: float) -> tuple[Array, Array, int]:
     """Go ``length`` from ``p`` along ``d`` on triangle ``f``, over as many edges as it takes."""

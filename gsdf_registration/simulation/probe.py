@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
-from gsdf_registration.rigid import (
+from gsdf_registration.common.rigid import (
     Array,
     from_rt,
     rotation_exp,

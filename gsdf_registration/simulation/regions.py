@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import Array
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.simulation.patch import Patch, exposed_patch
 
 # m, of the ball that the wound exposes

@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
+from gsdf_registration.common.numba_options import inlined_kernel, kernel
 from gsdf_registration.field.sample import BATCH, sample_batch
-
-kernel = nb.njit(nogil=True, cache=True, error_model='numpy', fastmath={'contract'})
 
 
 @kernel
@@ -66,7 +64,7 @@ def write_rows(which, n, arm, value, e, J):
         J[row, 5] = gz
 
 
-@nb.njit(forceinline=True, error_model='numpy', fastmath={'contract'})
+@inlined_kernel
 def _plus(s, a, j):
     """Return s + a j of tuples of six."""
     return (s[0] + a * j[0], s[1] + a * j[1], s[2] + a * j[2], s[3] + a * j[3], s[4] + a * j[4],

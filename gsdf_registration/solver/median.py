@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from gsdf_registration.solver.gauss_newton import kernel
+from gsdf_registration.common.numba_options import kernel
 
 
 @kernel

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gsdf_registration.density import spread_sample
-from gsdf_registration.rigid import Array
-from gsdf_registration.solver.gauss_newton import kernel
+from gsdf_registration.common.numba_options import kernel
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.search.point_filters import farthest_point_sample
 
 # that points are gathered in, over each of which the error is one: few tell its size, which takes
 # many trials, more the pose; and how many points there must be in each, on average
@@ -118,7 +118,7 @@ def _gathered(x: Array, e: Array, J: Array, weight: Array, precision: Array, mos
     count = min(most, len(on) // in_each)
     if count < FEWEST:
         return None
-    which = cKDTree(on[spread_sample(on, count)]).query(x)[1]
+    which = cKDTree(on[farthest_point_sample(on, count)]).query(x)[1]
     w = weight * precision**2
 
     def total(v: Array) -> Array:

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gsdf_registration import rigid
+from gsdf_registration.common import rigid
+from gsdf_registration.common.numba_options import kernel
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.rigid import Array
-from gsdf_registration.solver.gauss_newton import kernel
 
 FLATTENED = 0.75    # share of its distance to the bone that a point is moved to find neighbours
 

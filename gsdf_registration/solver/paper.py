@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.solver.gauss_newton import (
     EXHAUSTED,
     SETTLED,
     SINGULAR,
     damp,
-    kernel,
     linearize,
     normal_equations,
     solve_cholesky,

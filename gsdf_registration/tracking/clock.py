@@ -13,9 +13,10 @@ from __future__ import annotations
 import math
 from typing import Generic, NamedTuple, TypeVar
 
+from gsdf_registration.common.samples import AGREEING
+
 BACK = 1.0      # s; stamps that go back by less are late, not of a clock that went back
 FORWARD = 10.0  # s; stamps that go forward by less need no others to be believed
-AGREEING = 3    # stamps in a row that leap and rise again
 ALONE = 0.5     # s for which stamps must come from back there alone to be believed
 MIXED = 20      # stamps that leap one after another and agree are a second clock
 MOST_HELD = 1000    # samples held at most, whatever their stamps say

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsdf_registration.rigid import Array, inverse
-from gsdf_registration.tracking.reference import Lack, PoseBuffer, is_believable
+from gsdf_registration.common.rigid import Array, inverse
+from gsdf_registration.tracking.pose_buffer import LookupStatus, PoseBuffer, is_believable
 
 
 @dataclass
@@ -55,19 +55,19 @@ class Frames:
         """Tell whether transforms lead from one frame to the other."""
         return self._way_up(a)[-1] == self._way_up(b)[-1]
 
-    def at(self, a: str, b: str, stamp: float, max_gap: float) -> Array | Lack:
+    def at(self, a: str, b: str, stamp: float, max_gap: float) -> Array | LookupStatus:
         """Return ``T_a_b`` (4, 4), m, at ``stamp``, s; see `PoseBuffer.at`."""
         way_a, way_b = self._way_up(a), self._way_up(b)
         if way_a[-1] != way_b[-1]:
-            return Lack.NOT_YET
+            return LookupStatus.NOT_YET
         # what lies above the frame where the two ways meet does not matter
         while len(way_a) > 1 and len(way_b) > 1 and way_a[-2] == way_b[-2]:
             way_a.pop()
             way_b.pop()
         T_top_a, T_top_b = (self._climb(way, stamp, max_gap) for way in (way_a, way_b))
-        if isinstance(T_top_a, Lack):
+        if isinstance(T_top_a, LookupStatus):
             return T_top_a
-        return T_top_b if isinstance(T_top_b, Lack) else inverse(T_top_a) @ T_top_b
+        return T_top_b if isinstance(T_top_b, LookupStatus) else inverse(T_top_a) @ T_top_b
 
     def _way_up(self, frame: str) -> list[str]:
         """Return a frame, its parent, and so on to the root."""
@@ -76,13 +76,13 @@ class Frames:
             way.append(edge.parent)
         return way
 
-    def _climb(self, way: list[str], stamp: float, max_gap: float) -> Array | Lack:
+    def _climb(self, way: list[str], stamp: float, max_gap: float) -> Array | LookupStatus:
         """Return the motion that leads from the first frame of a way to the last."""
         T = np.eye(4)
         for frame in way[:-1]:
             edge = self._edges[frame]
             step = edge.moving.at(stamp, max_gap) if edge.fixed is None else edge.fixed
-            if isinstance(step, Lack):
+            if isinstance(step, LookupStatus):
                 return step
             T = step @ T
         return T

@@ -15,7 +15,7 @@ import trimesh
 
 from gsdf_registration import __version__
 from gsdf_registration.cli.main import main
-from gsdf_registration.rigid import Array, exp, is_rigid, rotation_from_quaternion, transform
+from gsdf_registration.common.rigid import Array, exp, is_rigid, rotation_from_quaternion, transform
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.truth import Truth, truth_path, write_truth
 
@@ -221,7 +221,7 @@ def test_an_interrupt_is_quiet(capsys: pytest.CaptureFixture[str],
                                monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
-    monkeypatch.setattr('gsdf_registration.replay.replay', interrupted)
+    monkeypatch.setattr('gsdf_registration.session.replay.replay', interrupted)
     assert main(['replay', 'run_a', '--model', 'bone.ply', '--config', 'coarse.yaml']) == 130
     assert capsys.readouterr() == ('', '')
 

@@ -18,13 +18,15 @@ pytest.importorskip('matplotlib')
 
 import matplotlib.image  # noqa: E402
 
-from gsdf_registration import colours  # noqa: E402
 from gsdf_registration.cli.main import main  # noqa: E402
-from gsdf_registration.config import Config  # noqa: E402
-from gsdf_registration.model import load_model  # noqa: E402
-from gsdf_registration.replay import replay  # noqa: E402
-from gsdf_registration.report import picture  # noqa: E402
-from gsdf_registration.rigid import Array, transform  # noqa: E402
+from gsdf_registration.common.config import Config  # noqa: E402
+from gsdf_registration.common.rigid import Array, transform  # noqa: E402
+from gsdf_registration.field.model import load_model  # noqa: E402
+from gsdf_registration.session.replay import replay  # noqa: E402
+from gsdf_registration.visualization import (
+    colours,  # noqa: E402
+    picture,  # noqa: E402
+)
 from msg_adapters.bag import read_bag  # noqa: E402
 from msg_adapters.session_file import write_session  # noqa: E402
 

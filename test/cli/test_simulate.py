@@ -12,7 +12,7 @@ import pytest
 
 from gsdf_registration.cli.main import main
 from gsdf_registration.cli.simulate import ARRAY_FRAME, ARRAY_TOPIC, REGIONS, STRUCTURED
-from gsdf_registration.rigid import inverse, transform
+from gsdf_registration.common.rigid import inverse, transform
 from gsdf_registration.simulation.interference import Interference
 from gsdf_registration.simulation.regions import RADIUS
 from msg_adapters.bag import read_bag

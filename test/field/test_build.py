@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsdf_registration.bone import make_bone
+from gsdf_registration.common.result import InputError
 from gsdf_registration.field import build_field
 from gsdf_registration.field.sample import CELLS, NODES
 from gsdf_registration.field.surface import SPACING
-from gsdf_registration.result import InputError
+from gsdf_registration.mesh.bone import make_bone
 
 VOXEL = 0.001
 

@@ -8,10 +8,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.bone import make_bone
+from gsdf_registration.common.result import InputError
 from gsdf_registration.field import build_field
 from gsdf_registration.field.sample import sample, sample_many
-from gsdf_registration.result import InputError
+from gsdf_registration.mesh.bone import make_bone
 
 RADIUS = 0.03
 coordinate = st.one_of(st.floats(-0.06, 0.06), st.floats(-1e6, 1e6))

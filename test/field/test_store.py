@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsdf_registration.bone import make_bone
+from gsdf_registration.common.result import InputError
 from gsdf_registration.field import build_field, cache, cached_field, load_field, save_field
 from gsdf_registration.field.store import MAGIC
-from gsdf_registration.result import InputError
+from gsdf_registration.mesh.bone import make_bone
 
 
 @pytest.fixture(scope='module')

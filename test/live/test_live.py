@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Reason
+from gsdf_registration.common.rigid import Array, exp, transform
+from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
+from gsdf_registration.field.model import load_model
 from gsdf_registration.live import LivePose, LiveRegistration, LiveStatus
-from gsdf_registration.live.survey import Survey
-from gsdf_registration.model import load_model
-from gsdf_registration.registration import register
-from gsdf_registration.result import Reason
-from gsdf_registration.rigid import Array, exp, transform
-from gsdf_registration.session.collection import Points
+from gsdf_registration.live.assessment import FullAssessment
+from gsdf_registration.registration.pipeline import register
 from msg_adapters.recording import Recording
 from msg_adapters.truth import Truth
 
@@ -32,7 +32,7 @@ class Moment(NamedTuple):
 
     pose: LivePose | None
     ready: bool
-    survey: Survey | None   # if there was one
+    survey: FullAssessment | None   # if there was one
 
 
 @pytest.fixture(scope='module')

@@ -7,8 +7,8 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import exp
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import exp
 from msg_adapters.bag import list_topics, read_bag
 from msg_adapters.bag_writer import BagWriter
 

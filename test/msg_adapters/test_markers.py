@@ -14,8 +14,8 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from std_msgs.msg import ColorRGBA  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
-from gsdf_registration.decimation import reduced  # noqa: E402
 from gsdf_registration.node.scene import MOST_FACES  # noqa: E402
+from gsdf_registration.visualization.decimation import reduced  # noqa: E402
 from msg_adapters import markers  # noqa: E402
 from msg_adapters.marker_cdr import Shape, to_bytes  # noqa: E402
 

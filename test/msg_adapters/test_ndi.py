@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsdf_registration.cli.main import make_parser
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from msg_adapters.bag import read_bag
 from msg_adapters.ndi import is_ndi, read_ndi
 

@@ -6,7 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from msg_adapters.points import read_landmarks, read_model, read_points
 
 BOX = trimesh.creation.box(extents=[40.0, 60.0, 80.0])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from msg_adapters.recording import Motion, Recording, merge
 
 

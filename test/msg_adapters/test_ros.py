@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import exp
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import exp
 
 pytest.importorskip('geometry_msgs.msg')
 

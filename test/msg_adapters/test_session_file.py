@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from msg_adapters import files
 from msg_adapters.session_file import read_session, write_session
 

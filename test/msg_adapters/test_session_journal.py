@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from msg_adapters import session_journal
 from msg_adapters.session_journal import SessionJournal, journal_path, read_journal
 

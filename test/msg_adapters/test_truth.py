@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import exp
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import exp
 from msg_adapters.truth import Truth, read_truth, truth_path, write_truth
 
 TRUTH = Truth('hip.stl', 'mm', 'tracker', exp([0.1, 0.2, 0.3, 1.0, -2.0, 3.0]), ('a', 'b'),

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from ros_support import BAG, TOPICS, Client, NodeProcess, Tracker
 
-from gsdf_registration.node.domain import own_domain
+from gsdf_registration.clients.domain import own_domain
 from msg_adapters.truth import read_truth
 
 

@@ -22,9 +22,9 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from gsdf_registration.node.operator import Operator
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import angle_between, transform
+from gsdf_registration.clients.operator import Operator
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import angle_between, transform
 from msg_adapters import ros
 from msg_adapters.bag import read_bag
 from msg_adapters.truth import Truth, read_truth

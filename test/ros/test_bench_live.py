@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from gsdf_registration.benchmark.live import COLUMNS
+from benchmarks.live_figures import COLUMNS
 
 # on a clean clone the node compiles all its kernels first
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(300)]

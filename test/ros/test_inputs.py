@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
 from gsdf_registration.node.inputs import Inputs
 from msg_adapters import ros
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ros_support import ROOT, Client, NodeProcess, Tracker
 
-from gsdf_registration.result import Reason
+from gsdf_registration.common.result import Reason
 
 sys.path.append(str(ROOT / 'docs'))
 import interface  # noqa: E402

@@ -12,8 +12,14 @@ from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamp
 from rclpy.qos import QoSProfile
 from ros_support import Client, Tracker, values
 
-from gsdf_registration.node.operator import LATCHED
-from gsdf_registration.rigid import Array, from_rt, inverse, rotation_from_quaternion, transform
+from gsdf_registration.clients.operator import LATCHED
+from gsdf_registration.common.rigid import (
+    Array,
+    from_rt,
+    inverse,
+    rotation_from_quaternion,
+    transform,
+)
 from msg_adapters import ros
 
 pytestmark = pytest.mark.ros

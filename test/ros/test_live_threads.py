@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, touched
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Cancelled
+from gsdf_registration.common.rigid import transform
+from gsdf_registration.common.samples import Points
 from gsdf_registration.live import LivePose, LiveStatus
-from gsdf_registration.live.survey import Survey
-from gsdf_registration.node import live as live_module
-from gsdf_registration.node.live import Live
-from gsdf_registration.result import Cancelled
-from gsdf_registration.rigid import transform
+from gsdf_registration.live import live as live_module
+from gsdf_registration.live.assessment import FullAssessment
+from gsdf_registration.live.worker import Live
 from gsdf_registration.session import Session
-from gsdf_registration.session.collection import Points
 
 pytestmark = pytest.mark.ros
 PATIENCE = 60.0
@@ -34,7 +34,7 @@ class Node:
         self.outputs = self
         self.errors: list[str] = []
         self.poses: list[LivePose] = []
-        self.surveys: list[Survey] = []
+        self.surveys: list[FullAssessment] = []
         self.changed = threading.Condition()
 
     def get_logger(self) -> Node:
@@ -55,7 +55,7 @@ class Node:
             self.poses.append(pose)
             self.changed.notify_all()
 
-    def survey(self, survey: Survey, session: Session) -> None:
+    def survey(self, survey: FullAssessment, session: Session) -> None:
         with self.changed:
             self.surveys.append(survey)
             self.changed.notify_all()
@@ -143,7 +143,7 @@ class Endless:
         self.begun: list[int] = []
         self.ended: list[int] = []
 
-    def __call__(self, points: Points, *more: Any) -> Survey:
+    def __call__(self, points: Points, *more: Any) -> FullAssessment:
         count, given_up = len(points.stamps), more[-1]
         self._tell(self.begun, count)
         while not given_up():

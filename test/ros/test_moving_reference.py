@@ -15,8 +15,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_support import Client, NodeProcess, Tracker
 from rosgraph_msgs.msg import Clock
 
+from gsdf_registration.common.rigid import exp, inverse, transform
 from gsdf_registration.node.transforms import STATIC
-from gsdf_registration.rigid import exp, inverse, transform
 from gsdf_registration.simulation.moving import Sway
 from msg_adapters import ros
 

@@ -16,7 +16,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from gsdf_registration.rigid import exp
+from gsdf_registration.common.rigid import exp
 from msg_adapters import ros
 
 pytestmark = pytest.mark.ros

@@ -13,7 +13,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from ros_support import BAG, ROOT, Client, NodeProcess, Tracker
 
-from gsdf_registration.config import Config, settings
+from gsdf_registration.common.config import Config, settings
 
 pytestmark = pytest.mark.ros
 StartNode = Callable[..., NodeProcess]

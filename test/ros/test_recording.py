@@ -18,7 +18,7 @@ pytestmark = pytest.mark.ros
 
 def player(*options: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, '-m', 'gsdf_registration.node.player',
+        [sys.executable, '-m', 'gsdf_registration.clients.player',
          str(BAG), *options],
         cwd=ROOT)
 

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from ros_support import BAG, Client, NodeProcess, Tracker
 from std_srvs.srv import Trigger
 
-from gsdf_registration.node.operator import Operator
+from gsdf_registration.clients.operator import Operator
 
 pytestmark = pytest.mark.ros
 StartNode = Callable[..., NodeProcess]

@@ -17,9 +17,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from ros_support import BAG, Client, NodeProcess, Tracker, values
 
+from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.node.qos import LATCHED
-from gsdf_registration.rigid import Array, inverse, transform
-from gsdf_registration.session.touches import Answer
+from gsdf_registration.session.landmark_capture import Answer
 from msg_adapters import ros
 
 pytestmark = pytest.mark.ros

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from potato import bone
+from session_fixtures import bone
 
 from gsdf_registration.field import Field
 

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from gsdf_registration.config import GateConfig
-from gsdf_registration.session.collection import Collection, Rejection
+from gsdf_registration.common.config import GateConfig
+from gsdf_registration.common.samples import Rejection
+from gsdf_registration.session.collection import Collection
 
 RATE = 80.0
 SPEED = 0.05    # m/s, of the tip in these tests

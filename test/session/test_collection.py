@@ -11,8 +11,9 @@ from dragging import RATE, collection, drag, path, two_strokes, undone
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.result import InputError
-from gsdf_registration.session.collection import AGREEING, FIRST_ROOM, Rejection
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.samples import AGREEING, Rejection
+from gsdf_registration.session.collection import FIRST_ROOM
 
 
 def test_sound_points_are_kept_as_they_are() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from potato import (
+from session_fixtures import (
     CONFIG,
     LANDMARKS,
     RATE,
@@ -17,12 +17,12 @@ from potato import (
     touched,
 )
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError, Reason
+from gsdf_registration.common.rigid import transform
+from gsdf_registration.common.samples import Rejection
 from gsdf_registration.field import Field
-from gsdf_registration.result import InputError, Reason
-from gsdf_registration.rigid import transform
 from gsdf_registration.session import Session
-from gsdf_registration.session.collection import Rejection
 
 
 def test_the_whole_job(field: Field) -> None:

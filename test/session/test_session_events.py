@@ -12,10 +12,10 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.bone import make_bone
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.field import Field, build_field
-from gsdf_registration.result import Reason, RegistrationResult
+from gsdf_registration.mesh.bone import make_bone
 from gsdf_registration.session import Session
 from gsdf_registration.session import session as session_module
 from gsdf_registration.session.events import Replay

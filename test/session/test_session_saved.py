@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from potato import CONFIG, LANDMARKS, T_TRACKER_BONE, bone, hold, registered
+from session_fixtures import CONFIG, LANDMARKS, T_TRACKER_BONE, bone, hold, registered
 
+from gsdf_registration.common.result import InputError, Reason, RegistrationResult
+from gsdf_registration.common.rigid import transform
 from gsdf_registration.field import Field
-from gsdf_registration.result import InputError, Reason, RegistrationResult
-from gsdf_registration.rigid import transform
 from gsdf_registration.session import Session
 from gsdf_registration.session import session as session_module
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from potato import CONFIG, bone, landmarked, send, touched
+from session_fixtures import CONFIG, bone, landmarked, send, touched
 
-from gsdf_registration.config import Config
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.result import Reason, RegistrationResult
-from gsdf_registration.rigid import Array
 from gsdf_registration.session import Session
 from gsdf_registration.session import session as session_module
 

@@ -9,7 +9,7 @@ from dragging import RATE, SPEED, collection, drag
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.session.collection import AGREEING, Rejection
+from gsdf_registration.common.samples import AGREEING, Rejection
 
 
 def lifted(count: int, arc: int, times: float, rate: float = RATE,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gsdf_registration.session.tip import Rest
+from gsdf_registration.session.stationary_tip import StationaryTip
 from gsdf_registration.session.verification import (
     SAME_PLACE,
     Verification,
@@ -18,8 +18,8 @@ from gsdf_registration.session.verification import (
 LIMIT = 0.002
 
 
-def rest(x: float, stamp: float) -> Rest:
-    return Rest(np.array([x, 0.0, 0.0]), 0.0, 0.0, 40, stamp, 0, stamp - 1.0)
+def rest(x: float, stamp: float) -> StationaryTip:
+    return StationaryTip(np.array([x, 0.0, 0.0]), 0.0, 0.0, 40, stamp, 0, stamp - 1.0)
 
 
 def touched(*places: float, distance: float = 0.0005) -> list[Verification]:

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from gsdf_registration.rigid import fit_points, transform
+from gsdf_registration.common.rigid import fit_points, transform
 from gsdf_registration.simulation import femur, hip
 from gsdf_registration.simulation.implicit import carve, ellipsoid, join, polygon, tube
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from exact import distances
 
-from gsdf_registration.rigid import inverse, transform
+from gsdf_registration.common.rigid import inverse, transform
 from msg_adapters.bag import LANDMARK_TOPIC, read_bag
 from msg_adapters.recording import Recording
 from msg_adapters.truth import Truth

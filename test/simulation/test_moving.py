@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsdf_registration.rigid import angle_between, exp, is_rigid
+from gsdf_registration.common.rigid import angle_between, exp, is_rigid
 from gsdf_registration.simulation.moving import Sway
 
 

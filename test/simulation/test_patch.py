@@ -10,7 +10,7 @@ from exact import distances
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.result import InputError
+from gsdf_registration.common.result import InputError
 from gsdf_registration.simulation.patch import FACING, exposed_patch, walk, whole_surface
 
 CUBE = trimesh.creation.box((2.0, 2.0, 2.0))

@@ -11,8 +11,8 @@ from exact import distances
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration import rigid
-from gsdf_registration.result import InputError
+from gsdf_registration.common import rigid
+from gsdf_registration.common.result import InputError
 from gsdf_registration.simulation.interference import Interference, Kind
 from gsdf_registration.simulation.patch import Patch
 from gsdf_registration.simulation.probe import (

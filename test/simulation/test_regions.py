@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gsdf_registration.result import InputError
-from gsdf_registration.rigid import transform
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import transform
 from gsdf_registration.simulation import femur, hip
 from gsdf_registration.simulation.probe import random_pose
 from gsdf_registration.simulation.regions import RADIUS, named_patch

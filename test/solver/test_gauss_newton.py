@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from smooth_bone import bone_field, touched
 
-from gsdf_registration import rigid
+from gsdf_registration.common import rigid
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.sample import FieldArrays
-from gsdf_registration.rigid import Array
-from gsdf_registration.solver.centring import about_centroid, pose_about
+from gsdf_registration.solver.centroid_frame import about_centroid, pose_about
 from gsdf_registration.solver.gauss_newton import (
     linearize,
     normal_equations,

@@ -14,9 +14,9 @@ from scipy.special import expit
 from scipy.stats import norm
 from smooth_bone import T_TRACKER_BONE, bone_field, touched
 
-from gsdf_registration import rigid
-from gsdf_registration.config import SolverConfig
-from gsdf_registration.rigid import Array
+from gsdf_registration.common import rigid
+from gsdf_registration.common.config import SolverConfig
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver import (
     Estimates,
     Neighbourhood,

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
 
-from gsdf_registration import rigid
-from gsdf_registration.confidence import assess_at
-from gsdf_registration.config import SolverConfig
-from gsdf_registration.rigid import Array
+from gsdf_registration.common import rigid
+from gsdf_registration.common.config import SolverConfig
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.solver import Solution, allow_for_model_error, solve
 from gsdf_registration.solver.model_error import (
     MANY,

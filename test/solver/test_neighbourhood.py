@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_bone import T_TRACKER_BONE, bone_field, touched
 
-from gsdf_registration import rigid
-from gsdf_registration.rigid import Array
+from gsdf_registration.common import rigid
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver import Neighbourhood, nearest_neighbours
 from gsdf_registration.solver.neighbourhood import FLATTENED
 

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_bone import T_TRACKER_BONE, bone_field, touched
 
-from gsdf_registration import rigid
-from gsdf_registration.config import SolverConfig
-from gsdf_registration.rigid import Array
+from gsdf_registration.common import rigid
+from gsdf_registration.common.config import SolverConfig
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver import Solution, gauss_newton, solve
 from gsdf_registration.solver.paper import algorithm_1
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsdf_registration.rigid import Array, exp, inverse
+from gsdf_registration.common.rigid import Array, exp, inverse
 from gsdf_registration.tracking.frames import Frames
-from gsdf_registration.tracking.reference import Lack
+from gsdf_registration.tracking.pose_buffer import LookupStatus
 
 GAP = 0.5
 RNG = np.random.default_rng(0)
@@ -45,15 +45,15 @@ def test_the_way_leads_up_and_down() -> None:
 def test_only_the_frames_on_the_way_must_be_known() -> None:
     frames = tree()
     np.testing.assert_allclose(frames.at('probe', 'table', 77.0, GAP), inverse(D), atol=1e-12)
-    assert frames.at('probe', 'robot', 77.0, GAP) is not Lack.NOT_YET
-    assert frames.at('probe', 'camera', 1.2, GAP) is Lack.NOT_YET
-    assert frames.at('probe', 'camera', 0.9, GAP) is Lack.NEVER
+    assert frames.at('probe', 'robot', 77.0, GAP) is not LookupStatus.NOT_YET
+    assert frames.at('probe', 'camera', 1.2, GAP) is LookupStatus.NOT_YET
+    assert frames.at('probe', 'camera', 0.9, GAP) is LookupStatus.NEVER
 
 
 def test_frames_that_nothing_connects_may_be_connected_later() -> None:
     frames = tree()
     assert not frames.connect('camera', 'elsewhere')
-    assert frames.at('camera', 'elsewhere', 1.05, GAP) is Lack.NOT_YET
+    assert frames.at('camera', 'elsewhere', 1.05, GAP) is LookupStatus.NOT_YET
     frames.add('probe', 'elsewhere', 0.0, A, fixed=True)
     assert frames.connect('camera', 'elsewhere')
     assert isinstance(frames.at('camera', 'elsewhere', 1.05, GAP), np.ndarray)
@@ -63,7 +63,7 @@ def test_a_frame_hung_on_another_parent_forgets_the_first() -> None:
     frames = tree()
     frames.add('table', 'camera', 2.0, D)
     np.testing.assert_allclose(frames.at('table', 'camera', 2.0, GAP), D)
-    assert frames.at('robot', 'camera', 1.05, GAP) is Lack.NEVER
+    assert frames.at('robot', 'camera', 1.05, GAP) is LookupStatus.NEVER
 
 
 def test_a_circle_and_what_is_no_motion_do_no_harm() -> None:
@@ -72,7 +72,7 @@ def test_a_circle_and_what_is_no_motion_do_no_harm() -> None:
     frames.add('table', 'probe', 0.0, np.full((4, 4), np.nan), fixed=True)
     frames.add('robot', 'camera', 1.2, np.zeros((4, 4)))
     np.testing.assert_allclose(frames.at('table', 'probe', 1.05, GAP), D)
-    assert frames.at('robot', 'camera', 1.15, GAP) is Lack.NOT_YET
+    assert frames.at('robot', 'camera', 1.15, GAP) is LookupStatus.NOT_YET
     frames.add('probe', 'world', 0.0, A, fixed=True)
     frames.at('camera', 'probe', 1.05, GAP)
 
@@ -81,4 +81,4 @@ def test_static_transforms_outlive_a_clock_that_goes_back() -> None:
     frames = tree()
     frames.rewind(-100.0)
     np.testing.assert_allclose(frames.at('world', 'probe', -99.0, GAP), C @ D)
-    assert frames.at('robot', 'camera', 1.05, GAP) is Lack.NOT_YET
+    assert frames.at('robot', 'camera', 1.05, GAP) is LookupStatus.NOT_YET

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A peer at work: its process, what it is asked, and what becomes of it when it takes too long."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from benchmarks.peers.environment import clean_environment
+from gsdf_registration.common.rigid import Array
+
+LIMIT = 60.0            # s, for an answer
+PREPARATION = 600.0     # s, to import a library and to prepare a bone; not timed
+WORKERS = Path(__file__).parent / 'workers'
+
+
+class PeerError(Exception):
+    """There is no answer; ``timeout`` tells that there may have been one later."""
+
+    def __init__(self, message: str, timeout: bool = False) -> None:
+        super().__init__(message)
+        self.timeout = timeout
+
+
+class Caller:
+    """
+    A peer that has prepared a bone.
+
+    Parameters
+    ----------
+    python : of the peer's environment
+    worker : module and function among the workers
+    model : file with vertices, faces, points and normals of the bone, m
+
+    Raises
+    ------
+    PeerError
+        If it cannot be brought to work.
+
+    """
+
+    def __init__(self, python: Path, worker: tuple[str, str], model: Path,
+                 limit: float = LIMIT) -> None:
+        self.limit = limit
+        self._rest = b''
+        self._process = subprocess.Popen(
+            [python, WORKERS / 'worker.py', *worker, model], env=clean_environment(),
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        self._answer(PREPARATION)
+
+    def __call__(self, points: Array, noise: float) -> tuple[Array, float]:
+        """
+        Return the motion (4, 4) that takes the points onto the bone, and the seconds it took.
+
+        Parameters
+        ----------
+        points : (n, 3) float, m, bone frame, as placed by the start
+        noise : float, m, standard deviation per axis
+
+        Raises
+        ------
+        PeerError
+            If it fails, or takes longer than the limit; it is of no use afterwards.
+
+        """
+        assert self._process.stdin is not None
+        question = json.dumps({'points': points.tolist(), 'noise': noise})
+        try:
+            self._process.stdin.write(question.encode() + b'\n')
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise PeerError(self._end()) from None
+        answer = self._answer(self.limit)
+        motion = np.array(answer['motion'])
+        if motion.shape != (4, 4) or not np.isfinite(motion).all():
+            raise PeerError('no finite pose')
+        return motion, float(answer['seconds'])
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be asked again."""
+        return self._process.poll() is None
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+    def _answer(self, limit: float) -> dict[str, Any]:
+        try:
+            line = self._line(monotonic() + limit)
+        except TimeoutError:
+            self.close()
+            raise PeerError(f'no answer within {limit:.0f} s', timeout=True) from None
+        if line is None:
+            raise PeerError(self._end())
+        answer: dict[str, Any] = json.loads(line)
+        if 'error' in answer:
+            raise PeerError(answer['error'])
+        return answer
+
+    def _line(self, deadline: float) -> bytes | None:
+        """Return the next line, None at the end of the process."""
+        assert self._process.stdout is not None
+        while b'\n' not in self._rest:
+            left: Sequence[Any] = select.select([self._process.stdout], [], [],
+                                                max(deadline - monotonic(), 0.0))[0]
+            if not left:
+                raise TimeoutError
+            piece = os.read(self._process.stdout.fileno(), 65536)
+            if not piece:
+                return None
+            self._rest += piece
+        line, _, self._rest = self._rest.partition(b'\n')
+        return line
+
+    def _end(self) -> str:
+        """Say how the process ended."""
+        status = self._process.wait()
+        self.close()
+        return f'died of signal {-status}' if status < 0 else f'ended with status {status}'

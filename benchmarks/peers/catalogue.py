@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The peers and what each needs to run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from benchmarks.peers.environment import Group
+
+CURRENT = Group(
+    'current', ('3.12', '3.11', '3.10'),
+    # py-goicp is built from sources that say nothing of what they need for it
+    ('setuptools<80', 'wheel', 'numpy', 'cython<3.3', 'autowrap==0.22.11', 'open3d==0.20.0'),
+    {'open3d': ('open3d==0.20.0',), 'small_gicp': ('small_gicp==1.0.1',),
+     'meshlib': ('meshlib==3.1.4.297',), 'fricp-cpp': ('fricp-cpp==1.0.0',),
+     'pycpd': ('pycpd==2.0.0',), 'rustcpd': ('rustcpd==4.0.0',),
+     'jrmpc': ('jrmpc==1.0.0', 'tqdm'), 'py-goicp': ('py-goicp==0.0.4',),
+     'kiss-matcher': ('kiss-matcher==1.0.2',)})
+OLD = Group(
+    'python3.10', ('3.10',),
+    # their extensions crash with numpy 2
+    ('setuptools<80', 'wheel', 'numpy==1.26.4', 'open3d==0.20.0'),
+    {'probreg': ('probreg==0.3.8',), 'cmeel-teaser-plusplus': ('cmeel-teaser-plusplus==2.0',)})
+
+
+@dataclass(frozen=True)
+class Peer:
+    """
+    A method of another library.
+
+    worker : module and function among the workers
+    guided : whether it needs a start
+    cost : how dear a trial is: 0 cheap, 1 seconds, 2 tens of seconds, 3 the whole time limit
+    """
+
+    name: str
+    group: Group
+    library: str
+    worker: tuple[str, str]
+    guided: bool
+    cost: int = 0
+
+
+PEERS = {peer.name: peer for peer in (
+    Peer('Open3D', CURRENT, 'open3d', ('icp', 'open3d_tukey'), True),
+    Peer('small_gicp', CURRENT, 'small_gicp', ('icp', 'small_gicp_plane'), True),
+    Peer('MeshLib', CURRENT, 'meshlib', ('icp', 'meshlib_plane'), True),
+    Peer('fricp-cpp', CURRENT, 'fricp-cpp', ('icp', 'fricp_plane'), True),
+    Peer('FilterReg', OLD, 'probreg', ('mixtures', 'filterreg_plane'), True, 1),
+    Peer('rustcpd', CURRENT, 'rustcpd', ('mixtures', 'rustcpd_rigid'), True, 1),
+    Peer('pycpd', CURRENT, 'pycpd', ('mixtures', 'pycpd_rigid'), True, 2),
+    Peer('JRMPC', CURRENT, 'jrmpc', ('mixtures', 'jrmpc_views'), True, 2),
+    Peer('multi-start', CURRENT, 'small_gicp', ('anywhere', 'multi_start'), False, 1),
+    Peer('KISS-Matcher', CURRENT, 'kiss-matcher', ('anywhere', 'kiss_matcher'), False, 1),
+    Peer('TEASER++', OLD, 'cmeel-teaser-plusplus', ('anywhere', 'teaser'), False, 1),
+    Peer('Go-ICP', CURRENT, 'py-goicp', ('anywhere', 'goicp'), False, 3),
+)}

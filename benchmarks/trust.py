@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One trial of the whole pipeline with no first guess, and the table of many."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from benchmarks.journal import Row
+from benchmarks.protocol import SCENARIOS, Problem, Trial, make
+from benchmarks.scoring import (
+    PoseErrors,
+    cramer_rao,
+    ideal_wrong,
+    is_wrong,
+    pose_errors,
+    share_of_limits,
+    well_posed,
+)
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import RegistrationResult
+from gsdf_registration.registration.acceptance import rms
+from gsdf_registration.registration.confidence import Confidence
+from gsdf_registration.registration.pipeline import register
+
+COLUMNS = ('scenario', 'trials', 'right', 'refused', 'wrong', 'basin', 'efficiency', 'median',
+           'TRE', 'predicted', 'search', 'solve', 'refused for')
+BASIN = 0.005       # m, of what was exposed: a pose no farther off is in the right basin
+# nothing that was found is refused
+LENIENT = {'limits.max_predicted_tre': 1.0, 'limits.max_bone_tre': 1.0, 'limits.min_gap': 0.0,
+           'limits.min_inliers': 0.0, 'limits.max_pattern': 1000.0, 'limits.min_extent': 0.0}
+
+
+def attempt(trial: Trial, config: Config) -> Row:
+    """Return the row of a trial: what was asked, answered, and how good the answer is; SI units."""
+    problem = make(trial)
+    return row(problem, register(problem.drag.positions, problem.field, config), config)
+
+
+def row(problem: Problem, result: RegistrationResult, config: Config) -> Row:
+    """Return the row of a problem and its answer."""
+    trial = problem.trial
+    bound = None if trial.scenario.wrong else cramer_rao(problem)
+    errors: dict[str, float | None] = dict.fromkeys(PoseErrors.__dataclass_fields__)
+    if bound is not None and result.T_tracker_bone is not None:
+        errors |= asdict(pose_errors(result.T_tracker_bone, problem, bound))
+    predicted = result.predicted_tre_m.get('rms')
+    verdict = ('refused' if not result.success else
+               'wrong' if is_wrong(problem, errors['tre_rms_m'], predicted) else 'right')
+    return {
+        'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,
+        'model': trial.model, 'verdict': verdict, 'reason': str(result.reason),
+        'in_basin': None if bound is None else in_basin(problem, bound, result, config),
+        'well_posed': well_posed(problem, bound, config), **errors,
+        'bound_rms_m': None if bound is None else rms(
+            bound.predicted_tre(problem.field.surface_points.astype(np.float64))),
+        'share_of_limits': None if bound is None else share_of_limits(problem, bound, config),
+        'ideal_wrong': None if bound is None else ideal_wrong(problem, bound),
+        'predicted_rms_m': predicted, 'runner_up_ratio': result.runner_up_ratio,
+        'received': result.received, 'used': result.used, 'inliers': result.inliers,
+        'sigma_m': result.sigma_m, 'search_s': result.timing_s.get('search'),
+        'solve_s': result.timing_s.get('solve'), 'message': result.message
+    }
+
+
+def in_basin(problem: Problem, bound: Confidence, result: RegistrationResult,
+             config: Config) -> bool:
+    """
+    Tell whether the pose found is in the right basin; if it was refused, the pose behind that.
+
+    Parameters
+    ----------
+    problem : whose model is the bone that was touched
+    bound : its `cramer_rao`
+    result : of its points with these settings
+
+    """
+    if result.T_tracker_bone is None:
+        result = register(problem.drag.positions, problem.field, config.replaced(LENIENT))
+    return (result.T_tracker_bone is not None
+            and pose_errors(result.T_tracker_bone, problem, bound).tre_region_m < BASIN)
+
+
+def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    """
+    Yield the confusion table, a line for each scenario and one for all, cells as text.
+
+    Efficiency and TRE are those of right answers; lengths in mm, times (median) in ms.
+    """
+    there = {row['scenario'] for row in rows}
+    for scenario in [*(name for name in SCENARIOS if name in there), 'all']:
+        own = [row for row in rows if scenario in (row['scenario'], 'all')]
+        verdicts = Counter(row['verdict'] for row in own)
+        right = [row for row in own if row['verdict'] == 'right']
+        reasons = Counter(row['reason'] for row in own if row['verdict'] == 'refused')
+        efficiency = [np.sqrt(row['nees'] / 6.0) for row in right]
+        yield (
+            scenario, str(len(own)), *(str(verdicts[v]) for v in ('right', 'refused', 'wrong')),
+            _figure(np.mean, [row['in_basin'] for row in own if row['in_basin'] is not None],
+                    '.1%'),
+            _figure(rms, efficiency), _figure(np.median, efficiency),
+            _figure(rms, [1e3 * row['tre_rms_m'] for row in right]),
+            _figure(rms, [1e3 * row['predicted_rms_m'] for row in right]),
+            *(_figure(np.median, [1e3 * row[key] for row in own if row[key] is not None], '.0f')
+              for key in ('search_s', 'solve_s')),
+            ', '.join(f'{count} {reason}' for reason, count in reasons.most_common()))
+
+
+def wrong_claims(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of poses that were claimed and are wrong."""
+    return [row for row in rows if row['verdict'] == 'wrong']
+
+
+def ideally_wrong(rows: Sequence[Row]) -> float:
+    """Return how many wrong answers are expected of an ideal estimator where poses were claimed."""
+    return sum(row['ideal_wrong'] for row in rows
+               if row['verdict'] != 'refused' and row['ideal_wrong'] is not None)
+
+
+def faulty_refusals(rows: Sequence[Row]) -> tuple[list[Row], int]:
+    """Return the rows of well-posed problems that were refused, and how many are well-posed."""
+    own = [row for row in rows if row['well_posed']]
+    return [row for row in own if row['verdict'] == 'refused'], len(own)
+
+
+def basins(rows: Sequence[Row]) -> tuple[list[Row], int]:
+    """
+    Return the rows of the protocol whose pose is in a wrong basin, and how many there are of both.
+
+    Hard cases are no part of it.
+    """
+    own = [row for row in rows if row['in_basin'] is not None
+           and not SCENARIOS[row['scenario']].hard]
+    return [row for row in own if not row['in_basin']], len(own)
+
+
+def _figure(of: Callable[[Any], Any], values: Sequence[float], form: str = '.2f') -> str:
+    return format(float(of(np.array(values))), form) if values else '-'

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the name of a model to the field the solver works on."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+from gsdf_registration.common.result import InputError
+from gsdf_registration.field import Field, cached_field, load_field
+from gsdf_registration.mesh.bone import make_bone
+from msg_adapters.points import read_model
+
+
+def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
+    """
+    Return the gradient-SDF of a bone, from the cache if it was built before.
+
+    Parameters
+    ----------
+    path : str
+        Mesh (STL, PLY, OBJ, OFF), point cloud with normals, or field (.gsdf); a path or a
+        package:// URI.
+    unit : str
+        Of the lengths in the file, 'mm' or 'm'; a field knows its own.
+    voxel_size : float
+        Spacing of the fine samples, m; a field keeps its own.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, it is damaged, or its size is no bone's (`wrong_unit`).
+
+    """
+    file = find_model(path)
+    if file.suffix.lower() == '.gsdf':
+        return load_field(file)
+    try:
+        bone = make_bone(*read_model(file, unit))
+    except InputError as error:
+        named = error.message if str(file) in error.message else f'{path}: {error.message}'
+        raise InputError(named, error.reason) from None
+    return cached_field(bone, voxel_size)
+
+
+def find_model(path: str) -> Path:
+    """
+    Return the file of a path or of a ``package://name/path`` URI.
+
+    A package is looked for in the ament index, in ``share/`` of this Python, and where it is
+    imported from, a checkout included.
+
+    Raises
+    ------
+    InputError
+        When the package has no such file.
+
+    """
+    if not path.startswith('package://'):
+        return Path(path).expanduser()
+    name, _, inside = path.removeprefix('package://').partition('/')
+    for share in _shares(name):
+        if (share / inside).is_file():
+            return share / inside
+    raise InputError(f'{path}: package "{name}" is not installed or has no file "{inside}"')
+
+
+def _shares(name: str) -> list[Path]:
+    shares = [Path(sys.prefix) / 'share' / name]
+    try:
+        from ament_index_python.packages import get_package_share_directory
+        shares.insert(0, Path(get_package_share_directory(name)))
+    except (ImportError, LookupError, OSError, ValueError):
+        pass    # no ROS here, or it does not know the package
+    spec = importlib.util.find_spec(name) if name.isidentifier() else None
+    if spec is not None and spec.origin is not None:
+        folder = Path(spec.origin).parent
+        shares += [folder, folder.parent]
+    return shares

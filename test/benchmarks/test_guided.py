@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`gsdf bench guided`: strokes go where they should, and points needed are counted right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.cases import Case, bone, region_patch
+from benchmarks.guided import STEP, WAYS, Collection, attempt, collections, stroke
+from benchmarks.guided_tables import needed, page, table
+from gsdf_registration.cli.main import main
+from gsdf_registration.common.config import Config
+
+
+def test_a_stroke_lies_over_its_place_on_what_is_exposed(femur_bone: Path) -> None:
+    patch = region_patch(str(femur_bone), 'condyles')
+    place = patch.centre
+    tips = stroke(patch, place, 30, np.random.default_rng(0))
+    assert tips.shape == (30, 3)
+    assert np.abs(bone(str(femur_bone)).sample(tips)[0]).max() < 2e-4
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    assert steps.max() <= STEP * (1.0 + 1e-9) and np.median(steps) > 0.9 * STEP
+    nearest = tips[np.argmin(np.linalg.norm(tips - place, axis=1))]
+    away = np.linalg.norm(patch.corners.mean(axis=1) - place, axis=1).min()
+    assert np.linalg.norm(nearest - place) < away + STEP
+    ends = np.linalg.norm(tips[[0, -1]] - place, axis=1)
+    assert ends.max() < 15.5 * STEP + away
+
+
+def run(bone_file: Path, way: str) -> dict[str, Any]:
+    return attempt(Collection(Case(str(bone_file), 'condyles'), way, 1, 3, 30, 1e-3),
+                   Config().replaced({'search.threads': 1}))
+
+
+def test_both_ways_begin_alike_and_guidance_gets_there_sooner(femur_bone: Path) -> None:
+    random, guided = run(femur_bone, 'random'), run(femur_bone, 'guided_bone')
+    assert list(random) == list(guided)
+    assert random['points'] == guided['points'] == [120, 150, 180, 210]
+    for key in ('predicted_near_m', 'true_near_m', 'predicted_bone_m', 'true_bone_m'):
+        assert len(random[key]) == 4 and random[key][0] == guided[key][0]
+    assert guided['predicted_bone_m'][-1] < 0.8 * random['predicted_bone_m'][-1]
+    assert 0.0 < guided['true_near_m'][-1] < 0.002
+
+
+def test_runs_of_all_cases_come_early(femur_bone: Path) -> None:
+    cases = [Case(str(femur_bone), region) for region in ('condyles', 'proximal_femur')]
+    runs = list(collections(cases, 3, 7, 5, 30, 1e-3))
+    assert [run.name for run in runs[:4]] == [
+        *(f'femur/condyles/{way}/7' for way in WAYS), 'femur/proximal_femur/random/7']
+    assert len({run.name for run in runs}) == 3 * len(WAYS) and runs[-1].seed == 8
+
+
+def rows() -> list[dict[str, Any]]:
+    def row(way: str, seed: int, predicted: list[float | None],
+            true: list[float]) -> dict[str, Any]:
+        return {'case': 'femur/condyles', 'way': way, 'seed': seed, 'points': [100, 130, 160],
+                'ambiguous': [False, way == 'guided', False],
+                **{f'predicted_{goal}_m': predicted for goal in ('near', 'bone')},
+                **{f'true_{goal}_m': true for goal in ('near', 'bone')}}
+    return [row('random', 0, [0.003, 0.002, 0.0009], [0.004, 0.002, 0.0005]),
+            row('guided', 0, [0.003, 0.0008, 0.0007], [0.004, 0.0005, 0.0005]),
+            row('random', 1, [None, 0.002, 0.0015], [0.004, 0.002, 0.0005]),
+            row('guided', 1, [None, 0.002, 0.0008], [0.004, 0.0005, 0.0005]),
+            row('guided', 2, [0.0001] * 3, [0.1] * 3)]     # there is none at random to compare with
+
+
+def test_points_needed_are_counted() -> None:
+    found = needed(rows(), 'near', 0.001)
+    assert found.runs == 2
+    assert found.predicted == (160.0, 145.0) and found.paired == (1, 1, 0)
+    assert found.sure == (160.0, 160.0) and found.never == (1, 0)
+    assert found.error == pytest.approx((0.0005, 0.0005))
+    # from 2 mm to 0.5 mm logarithmically: 1 mm is midway; from 4 mm to 0.5 mm: at two thirds
+    assert found.true == pytest.approx((145.0, 120.0))
+    assert needed(rows(), 'near', 1e-5).true == (None, None)
+    one, everything = table(rows(), 'near', 0.001)
+    assert one[0] == 'femur/condyles' and everything[0] == 'all' and one[1:] == everything[1:]
+    assert one[1:6] == ('2', '160', '145', '9 %', '1/1/0') and one[-1] == '17 %'
+
+
+def test_the_curves_are_drawn() -> None:
+    both = [*rows(), *({**row, 'way': 'guided_bone'} for row in rows() if row['way'] == 'guided')]
+    drawn = page(both, 0.001)
+    assert drawn.count('guided, true (RMS over runs)') == 2
+    assert 'over the whole bone' in drawn and '<!DOCTYPE html>' in drawn
+
+
+def test_runs_are_printed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                   capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv('GSDF_BONES_DIR', raising=False)
+    output, plot = tmp_path / 'guided.tsv', tmp_path / 'guided.html'
+    options = ['bench', 'guided', '--strokes', '2', '-o', str(output)]
+    assert main([*options, '--runs', '1']) == 0
+    shown = capsys.readouterr()
+    assert shown.err == '' and 'femur/proximal_femur' in shown.out and '\nall  ' in shown.out
+    kept = output.read_text()
+    assert len(kept.splitlines()) == 2 + len(WAYS)
+    assert main([*options, '--runs', '1', '--plot', str(plot)]) == 0
+    assert output.read_text() == kept and capsys.readouterr().out == shown.out
+    assert 'gsdf bench guided' in plot.read_text()
+    assert main([*options, '--runs', '1', '--points', '20']) == 2
+    assert 'results of other points' in capsys.readouterr().err
+    assert main([*options, '--limit', '0']) == 2
+    assert '--limit more than 0' in capsys.readouterr().err

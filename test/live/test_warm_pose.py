@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A pose that follows as points are added: as good as one found from all of them at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
+
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.rigid import Array, exp, inverse, transform
+from gsdf_registration.live.warm_pose import MOVED, WarmPose
+from gsdf_registration.registration.confidence import assess_at
+from gsdf_registration.solver import solve
+
+CONFIG = Config.from_flat({'live.max_points': 2000})
+NEAR = exp([0.01, -0.01, 0.02, 0.0005, -0.0005, 0.001]) @ inverse(T_TRACKER_BONE)
+
+
+@pytest.fixture(scope='module')
+def points() -> Array:
+    """Return points in an order as a probe gives them, each near to the one before."""
+    seen = transform(T_TRACKER_BONE, touched(1200, 0, 2e-4))
+    return seen[np.lexsort((seen[:, 1], np.round(seen[:, 0] / 0.002)))]
+
+
+def warm(points: Array, config: Config = CONFIG, guess: Array = NEAR) -> WarmPose:
+    solution = solve(points, bone_field(), guess, config.solver)
+    pose = WarmPose(points, bone_field(), solution, config)
+    pose.confidence = assess_at(pose.solution, points, bone_field(), config.solver)
+    return pose
+
+
+def apart(a: Array, b: Array, points: Array) -> float:
+    """Return how far points lie apart at two poses, m (RMS)."""
+    return float(np.sqrt(((transform(a, points) - transform(b, points))**2).sum(axis=1).mean()))
+
+
+def test_points_added_one_by_one_lead_where_all_at_once_do(points: Array) -> None:
+    pose, whole = warm(points[::2]), warm(points)
+    for point in points[1::2]:
+        pose.add(point[None])
+    assert len(pose.points) > 0.9 * len(points)     # the others have few neighbours
+    found, wanted = pose.solution.T_bone_tracker, whole.solution.T_bone_tracker
+    assert apart(found, wanted, points) < 5e-5
+    assert apart(found, inverse(T_TRACKER_BONE), points) < 2e-4
+    assert pose.covariance is not None and whole.covariance is not None
+    np.testing.assert_allclose(np.diag(pose.covariance), np.diag(whole.covariance), rtol=0.25)
+
+
+def test_the_covariance_falls_as_points_are_added(points: Array) -> None:
+    pose = warm(points[:800])
+    before = pose.covariance
+    pose.add(points[800:])
+    assert before is not None and pose.covariance is not None
+    assert (np.linalg.eigvalsh(before - pose.covariance) > 0.0).any()
+    assert np.trace(pose.covariance) < np.trace(before)
+
+
+def test_an_error_of_the_model_is_allowed_for_until_all_is_looked_at_again() -> None:
+    seen = off_the_model(touched(1000, 0, 2e-4), 0, 4e-4, 0.012)
+    points = np.random.default_rng(0).permutation(transform(T_TRACKER_BONE, seen))
+    pose = warm(points[:950])
+    plain = solve(points[:950], bone_field(), NEAR, CONFIG.solver).T_bone_tracker
+    before = pose.confidence
+    assert pose.solution.model_error is not None and before is not None
+    stepped = apart(pose.solution.T_bone_tracker, plain, points)
+    pose.add(points[950:])
+    assert apart(pose.solution.T_bone_tracker, plain, points) > 0.7 * stepped > 5e-5
+    after = pose.confidence
+    assert after is not None and after.model_sd == before.model_sd > 1e-4
+    np.testing.assert_allclose(np.diag(after.motion_covariance), np.diag(before.motion_covariance),
+                               rtol=0.3)
+
+
+def test_stray_points_are_left_out(points: Array) -> None:
+    pose = warm(points)
+    before = pose.solution
+    pose.add(T_TRACKER_BONE[:3, 3] + 2.0 * (points[::200] - T_TRACKER_BONE[:3, 3]))
+    assert pose.solution is before and len(pose.points) == len(points)
+
+
+def test_a_stroke_far_from_the_others_joins_once_it_is_dense(points: Array) -> None:
+    pose = warm(points[:1000])
+    far = points[1100] + np.linspace(0.0, 0.004, 12)[:, None] * [0.0, 0.0, 1.0] + [0.0, 0.0, 0.1]
+    for point in far:
+        pose.add(point[None])
+    assert 1000 < len(pose.points) < 1012
+
+
+def test_no_more_points_are_taken_than_allowed(points: Array) -> None:
+    pose = warm(points[:600], Config.from_flat({'live.max_points': 640}))
+    pose.add(points[600:700])
+    pose.add(points[700:])
+    assert len(pose.points) == 640
+
+
+def test_a_pose_that_moves_far_has_its_neighbours_found_anew(points: Array) -> None:
+    pose = warm(points[:700])
+    # as if it had been far off when its neighbours were found
+    pose._T_of_neighbours = exp([0.0, 0.0, 0.0, 2.0 * MOVED, 0.0, 0.0]) @ pose._T_of_neighbours
+    pose.add(points[700:710])
+    assert pose._moved() < MOVED
+    assert len(pose._neighbourhood) == 710

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording gives the same bits every time, and what the session would give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import angle_between, exp, inverse, transform
+from gsdf_registration.field import Field, build_field
+from gsdf_registration.field.model import load_model
+from gsdf_registration.mesh.bone import make_bone
+from gsdf_registration.session.replay import replay
+from gsdf_registration.simulation.moving import Sway
+from msg_adapters.bag import read_bag
+from msg_adapters.bag_writer import BagWriter
+from msg_adapters.recording import Motion, Recording
+from msg_adapters.truth import Truth
+
+T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
+
+
+@pytest.fixture(scope='module')
+def field() -> Field:
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    return build_field(make_bone(ball.vertices * [0.03, 0.045, 0.07], ball.faces), 0.002)
+
+
+def recording(field: Field, **more: object) -> Recording:
+    rows = np.linspace(0, len(field.surface_points) - 1, 200).astype(int)
+    points = transform(T_TRACKER_BONE, field.surface_points[rows].astype(float))
+    points += np.random.default_rng(0).normal(0.0, 0.0002, points.shape)
+    return Recording(
+        **{
+            'positions': points, 'stamps': 1.7e9
+            + np.arange(200), 'frame_ids': 'tracker', 'source_names': ('/probe/tip', ), **more
+        })
+
+
+def test_the_same_bits_twice(field: Field) -> None:
+    guess = T_TRACKER_BONE @ exp([0.02, -0.02, 0.02, 0.002, 0.001, 0.0])
+    (a, _), (b, _) = (replay(recording(field), field, T_tracker_bone=guess) for _ in range(2))
+    assert a.success and a.T_tracker_bone.tobytes() == b.T_tracker_bone.tobytes()
+    assert a.residuals_m.tobytes() == b.residuals_m.tobytes()
+
+
+@pytest.mark.parametrize(('run', 'mesh'), [('optical_run', 'hip_bone'), ('em_run', 'femur_bone')])
+def test_shipped_recordings_lead_to_the_truth(run: str, mesh: str, request: pytest.FixtureRequest,
+                                              tmp_path: Path,
+                                              monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
+    recorded, truth = request.getfixturevalue(run)
+    bone = load_model(str(request.getfixturevalue(mesh)), truth.model_unit)
+    pairs = (truth.landmarks_model, truth.landmarks_tracker)
+    (result, session), (again, _) = (replay(recorded, bone, landmarks=pairs) for _ in range(2))
+    assert result.success
+    assert result.T_tracker_bone.tobytes() == again.T_tracker_bone.tobytes()
+    assert result.covariance.tobytes() == again.covariance.tobytes()
+    assert np.degrees(angle_between(result.T_tracker_bone[:3, :3],
+                                    truth.T_tracker_bone[:3, :3])) < 1.0
+    touched = recorded.positions.mean(axis=0)
+    moved = transform(truth.T_tracker_bone @ result.T_bone_tracker, touched) - touched
+    assert np.linalg.norm(moved) < 1e-3
+    assert session.status().frame_id == truth.frame_id
+
+
+def test_what_the_recording_dropped_is_counted(field: Field) -> None:
+    quality = np.full(200, 0.0001)
+    quality[[3, 4]] = 0.01
+    positions = recording(field).positions
+    positions[10] = np.nan
+    poor = recording(field, positions=positions, quality=quality, dropped={'tracking_state': 12})
+    _, session = replay(poor, field, T_tracker_bone=T_TRACKER_BONE)
+    status = session.status()
+    assert status.received == 212 == status.result.received
+    assert {cause: count for cause, count in status.rejected.items() if count} == {
+        'tracking_state': 12, 'poor_quality': 2, 'not_finite': 1}
+
+
+def test_strokes_of_the_recording_are_kept(field: Field) -> None:
+    strokes = np.repeat([7, 3, 9, 3], 50)
+    config = Config.from_flat({'gate.max_gap': 100.0, 'collect.automatic': False})
+    _, session = replay(recording(field, strokes=strokes),
+                        field,
+                        config,
+                        T_tracker_bone=T_TRACKER_BONE)
+    assert session.points().strokes.tolist() == np.repeat([1, 2, 3, 4], 50).tolist()
+
+
+def test_a_recording_without_stamps_is_refused(field: Field) -> None:
+    with pytest.raises(InputError, match='no stamps'):
+        replay(recording(field, stamps=None), field)
+
+
+def test_an_empty_recording_is_a_refusal(field: Field) -> None:
+    result, _ = replay(Recording(positions=np.zeros((0, 3)), stamps=np.zeros(0)), field)
+    assert not result.success and result.received == 0
+
+
+SWAY = Sway(exp([0.3, -0.2, 0.5, 0.05, -0.1, -1.1]))      # the array, some 0.15 m from the bone
+STEP = 1.0 / 80.0       # s, from one point to the next
+
+
+def moving(field: Field, hidden: tuple[float, float] = (0.0, 0.0)) -> Recording:
+    """Return `recording` as seen while the bone moves with its array, not seen while ``hidden``."""
+    still = recording(field)
+    points = transform(inverse(SWAY.T_tracker_body), still.positions)
+    stamps = 1.7e9 + STEP * np.arange(200)
+    seen = [transform(SWAY.pose(stamp), point) for stamp, point in zip(stamps, points)]
+    motions = [Motion(int(np.searchsorted(stamps, stamp)), stamp, SWAY.pose(stamp), 'tracker')
+               for stamp in 1.7e9 - 0.004 + STEP * np.arange(201)
+               if not hidden[0] < stamp - 1.7e9 < hidden[1]]
+    return recording(field, positions=np.array(seen), stamps=stamps, motions=motions)
+
+
+WITH_ARRAY = Config.from_flat({'reference.topic': '/array', 'gate.max_speed': 100.0})
+
+
+def test_a_bone_that_moves_with_its_array_is_found_as_if_it_were_still(field: Field) -> None:
+    guess = T_TRACKER_BONE @ exp([0.02, -0.02, 0.02, 0.002, 0.001, 0.0])
+    T_array_tracker = inverse(SWAY.T_tracker_body)
+    still, _ = replay(recording(field), field, T_tracker_bone=guess)
+    result, session = replay(moving(field), field, WITH_ARRAY,
+                             T_tracker_bone=T_array_tracker @ guess)
+    assert result.success and session.status().frame_id == 'reference_array'
+    assert session.status().kept == 200
+    bone = field.surface_points.astype(float)
+    off = transform(SWAY.T_tracker_body @ result.T_tracker_bone, bone) - transform(
+        still.T_tracker_bone, bone)
+    assert np.linalg.norm(off, axis=1).max() < 5e-5
+    again, _ = replay(moving(field), field, WITH_ARRAY, T_tracker_bone=T_array_tracker @ guess)
+    assert result.T_tracker_bone.tobytes() == again.T_tracker_bone.tobytes()
+
+
+def test_points_for_which_the_array_was_not_seen_are_counted(field: Field) -> None:
+    _, session = replay(moving(field, hidden=(0.5, 1.5)), field, WITH_ARRAY)
+    status = session.status()
+    assert status.received == 200 == status.kept + status.rejected['no_reference']
+    assert status.rejected['no_reference'] == 81
+
+
+def test_a_recording_without_the_array_says_so(field: Field,
+                                               caplog: pytest.LogCaptureFixture) -> None:
+    result, session = replay(recording(field), field, WITH_ARRAY)
+    assert not result.success and session.status().rejected['no_reference'] == 200
+    assert '/array' in caplog.text
+
+
+def test_a_recording_of_a_loop_is_one_session_of_its_last_round(
+        field: Field, caplog: pytest.LogCaptureFixture) -> None:
+    once = recording(field)
+    twice = recording(field, positions=np.tile(once.positions, (2, 1)),
+                      stamps=np.tile(1.7e9 + STEP * np.arange(200), 2))
+    _, session = replay(twice, field, Config.from_flat({'gate.max_speed': 100.0}),
+                        T_tracker_bone=T_TRACKER_BONE)
+    np.testing.assert_array_equal(session.points().positions, once.positions)
+    assert session.status().received == 200
+    assert 'went back by 2.5 s' in caplog.text
+
+
+def test_points_of_another_frame_are_brought_into_that_of_the_session(field: Field) -> None:
+    once = recording(field)
+    T = exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    fixed = Motion(0, 0.0, T, 'world', 'tracker', True)
+    _, session = replay(recording(field, motions=[fixed]), field,
+                        Config.from_flat({'probe.frame_id': 'world'}))
+    assert session.status().frame_id == 'world'
+    np.testing.assert_allclose(session.points().positions, transform(T, once.positions))
+
+
+def test_a_bag_of_a_moving_bone_leads_to_the_truth_as_the_still_one_does(
+        optical_run: tuple[Recording, Truth], hip_bone: Path, tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
+    recorded, truth = optical_run
+    sway = Sway(truth.T_tracker_bone @ exp([0.2, 0.1, 0.0, 0.1, 0.0, 0.1]))
+    T_array_tracker = inverse(sway.T_tracker_body)
+    rng = np.random.default_rng(0)
+    with BagWriter(tmp_path / 'moving') as bag:
+        for stamp, point in zip(recorded.stamps, recorded.positions):
+            seen = transform(sway.pose(stamp) @ T_array_tracker, point)
+            bag.write_point('/probe/tip', stamp, seen, 'camera')
+        for stamp in np.arange(recorded.stamps[0] - 0.004, recorded.stamps[-1] + STEP, STEP):
+            noise = exp(np.r_[rng.normal(0.0, 2e-4, 3), rng.normal(0.0, 5e-5, 3)])
+            bag.write_pose('/array', stamp, sway.pose(stamp) @ noise, 'camera',
+                           received=stamp + 0.02)
+    field = load_model(str(hip_bone), truth.model_unit)
+    still, _ = replay(recorded, field,
+                      landmarks=(truth.landmarks_model, truth.landmarks_tracker))
+    moving_, session = replay(
+        read_bag(tmp_path / 'moving', reference='/array'), field, WITH_ARRAY, landmarks=(
+            truth.landmarks_model, transform(T_array_tracker, truth.landmarks_tracker)))
+    assert moving_.success and session.status().rejected['no_reference'] == 0
+    places = np.vstack([truth.landmarks_model, np.zeros((1, 3))])
+    off = transform(sway.T_tracker_body @ moving_.T_tracker_bone, places) - transform(
+        still.T_tracker_bone, places)
+    assert np.linalg.norm(off, axis=1).max() < 1e-4

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a registration: what it says, and that it stands alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip('plotly')
+
+from smooth_bone import LANDMARKS, T_TRACKER_BONE, bone_field, touched
+
+from gsdf_registration import __version__
+from gsdf_registration.cli.main import main
+from gsdf_registration.common.result import InputError, Reason, RegistrationResult
+from gsdf_registration.common.rigid import Array, quaternion_from_rotation, transform
+from gsdf_registration.field import Field
+from gsdf_registration.registration.pipeline import register
+from gsdf_registration.visualization import scene, write_report
+from msg_adapters.bag_writer import BagWriter
+
+OUTLIERS = 20
+ABOUT = {'model SHA-256': 'c0ffee' * 10, 'points': '<b>points</b>.csv'}
+
+
+@pytest.fixture(scope='module')
+def field() -> Field:
+    return bone_field()
+
+
+@pytest.fixture(scope='module')
+def points() -> Array:
+    """Return points in the tracker frame, some of them far off the bone."""
+    on_bone = touched(400, sigma=0.0002)
+    on_bone[:OUTLIERS] *= 1.3
+    return transform(T_TRACKER_BONE, on_bone)
+
+
+@pytest.fixture(scope='module')
+def result(points: Array, field: Field) -> RegistrationResult:
+    result = register(points, field, landmarks=(LANDMARKS, transform(T_TRACKER_BONE, LANDMARKS)))
+    assert result.success, result.message
+    return result
+
+
+@pytest.fixture(scope='module')
+def page(result: RegistrationResult, field: Field, points: Array,
+         tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp('report') / 'page.html'
+    write_report(file, result, field, points, title='a bone & a probe', about=ABOUT)
+    return file.read_text(encoding='utf-8')
+
+
+def without_plotly(page: str) -> str:
+    """Return a page without plotly's own script, the longest there is."""
+    return page.replace(max(re.findall(r'<script.*?</script>', page, re.DOTALL), key=len), '')
+
+
+def text_of(page: str) -> str:
+    """Return what can be read without running scripts."""
+    page = re.sub(r'<(script|style).*?</\1>', '', page, flags=re.DOTALL)
+    return re.sub(r'\s+', ' ', re.sub(r'<[^>]+>', ' ', page))
+
+
+def test_the_page_stands_alone(page: str) -> None:
+    assert len(page.encode()) < 6_000_000
+    assert page.count('plotly.js v') == 1
+    tags = re.findall(r'<(?:script|link|img|iframe)\b[^>]*>', page)
+    assert [tag for tag in tags if re.search(r'\b(?:src|href)\s*=', tag)] == []
+    assert 'http' not in without_plotly(page)
+
+
+def test_nothing_is_not_a_number(page: str) -> None:
+    assert re.search(r'\bnan\b|\bnull\b|\bNone\b|Infinity', text_of(page), re.IGNORECASE) is None
+    assert re.search(r'\bNaN\b|Infinity', without_plotly(page)) is None
+
+
+def test_a_pose_is_told_with_its_numbers(page: str, result: RegistrationResult) -> None:
+    text = text_of(page)
+    T = result.T_tracker_bone
+    assert T is not None and result.sigma_m is not None and result.weakest_direction is not None
+    assert result.residual_rms_m is not None
+    assert 'Registered' in text and 'Refused' not in text and result.message in text
+    assert ', '.join(f'{1e3 * value:.2f}' for value in T[:3, 3]) + ' mm' in text
+    assert ', '.join(f'{q:.6f}' for q in quaternion_from_rotation(T[:3, :3])) in text
+    for metres in (result.predicted_tre_m['rms'], result.predicted_tre_m['max'], result.sigma_m,
+                   result.residual_rms_m):
+        assert f' {1e3 * metres:.2f} mm' in text
+    for number in (result.received, result.used, result.inliers):
+        assert f' {number} ' in text
+    assert result.weakest_direction.sentence in text and __version__ in text
+    assert f'{result.timing_s["total"]:.2f} s' in text and ABOUT['model SHA-256'] in text
+
+
+def test_the_residual_is_never_called_accuracy(page: str) -> None:
+    text = text_of(page)
+    assert 'It is NOT the accuracy' in text and 'Fit, NOT the accuracy' in text
+    assert 'how well they fit, NOT how accurate' in text
+
+
+def test_what_was_given_is_text_and_no_markup(page: str) -> None:
+    assert '<h1>a bone &amp; a probe</h1>' in page
+    assert '&lt;b&gt;points&lt;/b&gt;.csv' in page and '<b>points' not in page
+
+
+def test_points_are_where_they_were_touched(result: RegistrationResult, field: Field,
+                                            points: Array) -> None:
+    bone, inliers, others, axis = scene.bone_scene(result, field, points).data
+    assert len(inliers.x) == result.inliers and len(others.x) == len(points) - result.inliers
+    assert others.marker.symbol == 'circle-open'
+    shown = np.stack([inliers.x, inliers.y, inliers.z], axis=1) / 1e3
+    distance, _ = field.sample(shown)
+    assert distance * 1e3 == pytest.approx(inliers.marker.color, abs=0.02)
+    assert np.abs(distance).max() < 0.0015
+    low, high = 1e3 * field.bounds
+    assert low == pytest.approx([min(bone.x), min(bone.y), min(bone.z)], abs=1.0)
+    assert high == pytest.approx([max(bone.x), max(bone.y), max(bone.z)], abs=1.0)
+
+
+@pytest.mark.parametrize('with_field', [True, False])
+def test_a_refusal_shows_the_reason_and_points_alone(tmp_path: Path, field: Field, points: Array,
+                                                     with_field: bool) -> None:
+    message = 'another pose fits; touch the other side'
+    refusal = RegistrationResult.refused(Reason.AMBIGUOUS, message, received=400,
+                                         runner_up_ratio=1.02)
+    file = tmp_path / 'refused.html'
+    write_report(file, refusal, field if with_field else None, points, title='t', about={})
+    text = text_of(file.read_text())
+    assert f'Refused: ambiguous {message}' in text
+    assert 'There is no pose' in text and 'quaternion' not in text and '1.02' in text
+    assert 'Of the refused solution: Expected accuracy' in text
+    cloud, = scene.tracker_scene(points).data
+    assert np.stack([cloud.x, cloud.y, cloud.z], axis=1) / 1e3 == pytest.approx(points, abs=1e-5)
+
+
+@pytest.mark.parametrize('points', [np.zeros((0, 3)), np.full((5, 3), np.nan)])
+def test_a_refusal_without_usable_points(tmp_path: Path, field: Field, points: Array) -> None:
+    refusal = RegistrationResult.refused(Reason.TOO_FEW_POINTS, '0 points are too few')
+    write_report(tmp_path / 'a.html', refusal, field, points, title='t', about={})
+    assert 'NaN' not in without_plotly((tmp_path / 'a.html').read_text())
+
+
+def test_many_points_are_thinned_out() -> None:
+    many = np.random.default_rng(0).normal(size=(50_001, 3))
+    cloud, = scene.tracker_scene(many).data
+    assert 10_000 < len(cloud.x) <= scene.MOST_POINTS
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, result: RegistrationResult,
+                                                field: Field, points: Array) -> None:
+    with pytest.raises(InputError, match='nowhere'):
+        write_report(tmp_path / 'nowhere/a.html', result, field, points, title='t', about={})
+
+
+# --- the command line
+
+@pytest.fixture
+def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, points: Array, field: Field) -> Path:
+    """Work in a directory with a bone, points and a bag."""
+    monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path / 'cache'))
+    monkeypatch.chdir(tmp_path)
+    trimesh.Trimesh(1e3 * field.vertices, field.faces).export('bone.ply')
+    np.savetxt('points.csv', 1e3 * points, delimiter=',', header='x,y,z', comments='')
+    (tmp_path / 'start.json').write_text(json.dumps({'T_tracker_bone': T_TRACKER_BONE.tolist()}))
+    with BagWriter(tmp_path / 'run') as bag:
+        for i, point in enumerate(points):
+            bag.write_point('/probe/tip', 1.7e9 + i, point, 'camera')
+    return tmp_path
+
+
+def test_the_commands_write_the_page(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['register', 'bone.ply', 'points.csv', '--unit', 'mm', '--initial', 'start.json',
+                 '--report', 'a.html']) == 0
+    assert main(['replay', 'run', '--model', 'bone.ply', '--initial', 'start.json',
+                 '--report', 'b.html']) == 0
+    a, b = (text_of((job / name).read_text()) for name in ('a.html', 'b.html'))
+    assert 'Registered' in a and 'bone.ply from points.csv' in a
+    assert 'Registered' in b and 'bone.ply from run' in b and 'frame of the points camera' in b
+    assert len(re.findall(r'SHA-256 [0-9a-f]{64} ', a)) == 2
+    assert main(['register', 'bone.ply', 'points.csv', '--unit', 'm', '--report', 'c.html']) == 1
+    assert main(['replay', 'run', '--model', 'bone.ply', '--model-unit', 'm',
+                 '--report', 'd.html']) == 1
+    for name in ('c.html', 'd.html'):
+        assert 'Refused: wrong_unit' in text_of((job / name).read_text())
+
+
+def test_a_page_is_of_one_recording(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['replay', 'run', 'run', '--model', 'bone.ply', '--report', 'a.html']) == 2
+    assert capsys.readouterr().err.startswith('gsdf: error: --report is the page of one recording')
+    assert not (job / 'a.html').exists()
+
+
+def test_without_plotly_one_sentence_says_what_to_install(job: Path) -> None:
+    code = ('import sys; sys.modules["plotly"] = None; '
+            'from gsdf_registration.cli.main import main; sys.exit(main(sys.argv[1:]))')
+    command = ['register', 'bone.ply', 'points.csv', '--unit', 'mm', '--initial', 'start.json']
+    root = Path(__file__).parents[2]
+    asked, unasked = (subprocess.run(
+        [sys.executable, '-c', code, *command, *more], capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': str(root)}) for more in (['--report', 'a.html'], []))
+    assert (asked.returncode, asked.stdout) == (2, '')
+    assert asked.stderr == ('gsdf: error: a report needs plotly, which is not installed: '
+                            "pip install 'gsdf_registration[report]'\n")
+    assert unasked.returncode == 0, unasked.stderr
