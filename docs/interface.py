@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Writes docs/interface.md, and the table in README.md, from the code and from a running node.
+Write docs/interface.md, and the table in README.md, from the code and from a running node.
 
-``python docs/interface.py`` after a topic, a service, a value of the status or a setting has
-changed; a test fails until then.
+Run ``python docs/interface.py`` after a change of a topic, a service, a status value or a
+parameter; a test fails until then.
 """
 
 from __future__ import annotations
@@ -32,65 +32,66 @@ PAGE = ROOT / 'docs/interface.md'
 README = ROOT / 'README.md'
 BEGIN, END = '<!-- written by docs/interface.py -->', '<!-- end of what it writes -->'
 
-# Parameters of the node that is looked at: those that make it hear all it can hear
+# Parameters with which the node subscribes to everything it can
 PARAMETERS = {'probe.topics': "['/probe/tip']", 'probe.frame_id': 'tracker',
               'reference.topic': '/reference/pose'}
-HEARD = {
+SUBSCRIBED = {
     '/probe/tip': 'tip of the probe: each of `probe.topics`, best effort or reliable',
-    '/reference/pose': 'the array on the bone: `reference.topic`, if set; points are carried into '
-                       'its frame at their own stamp',
-    '/tf': 'for points in another frame than `probe.frame_id`, if that is set',
+    '/reference/pose': 'pose of the reference array: `reference.topic`, if set; points are '
+                       'transformed into its frame at their own stamp',
+    '/tf': 'for points in a frame other than `probe.frame_id`, if that is set',
     '/tf_static': 'as `/tf`',
 }
-SAID = {
-    '~/bone_pose': 'the last good pose',
+PUBLISHED = {
+    '~/bone_pose': 'the accepted registration',
     '~/bone_pose_with_covariance': 'the same with its covariance (REP-103 order, m and rad)',
-    '~/live_pose': 'the present estimate, for every point that comes in once there is one to be '
-                   'trusted; stamped as the point',
-    '~/status': 'state, points kept and refused by cause, reason, what to do next; on change',
+    '~/live_pose': 'the current estimate, for every point once the estimate is reliable; its stamp '
+                   'is that of the newest point',
+    '~/status': 'state, points kept and rejected by cause, reason, what to do next; on change',
     '/diagnostics': 'the same every second',
     '~/points': 'collected points in the bone frame: x y z residual weight stroke',
-    '~/markers': 'the bone coloured by the error to expect, the points by residual, where to touch',
+    '~/markers': 'the bone colored by the expected error, the points by residual, the next place '
+                 'to touch',
     '/tf': 'frame of the points → `model.frame_id`, re-sent at `tf.rate`; never on `/tf_static`',
 }
 STATUS = {
     'state': '`no_model`, `idle`, `collecting`, `ready`, `solving`, `registered` or `refused`',
-    'received': 'points that have come in',
-    'kept': 'points held',
-    'strokes': 'strokes that hold points',
-    'landmarks': 'landmarks captured',
+    'received': 'samples received',
+    'kept': 'points kept',
+    'strokes': 'strokes that contain points',
+    'landmarks': 'captured landmarks',
     'frame_id': 'frame of the points; empty until the first one',
     'reason': 'of the last registration, see below; empty before',
-    'rejected.*': 'points not kept, by cause',
-    'pose': '`none`, or `in` the frame of the last good pose',
-    'used': 'points that the last good pose was solved from',
-    'inliers': 'those of them that bear it',
-    'predicted_tre_m.*': 'error to expect at each target, over the bone (`rms`) and at worst '
+    'rejected.*': 'samples rejected, by cause',
+    'pose': '`none`, or `in` the frame of the accepted registration',
+    'used': 'points used by the accepted registration',
+    'inliers': 'points among them that lie on the bone',
+    'predicted_tre_m.*': 'expected error at each target, over the bone (`rms`) and its maximum '
                          '(`max`), m',
     'sigma_m': 'noise of the points along the surface normal, m',
-    'runner_up_ratio': 'how much worse the next-best pose fits',
-    'weakest_direction': 'the motion that the points hold least, a sentence',
-    'touch_next': 'where a touch would help most, a sentence',
-    'live.points': 'points that the live pose was found from',
-    'live.reason': 'what the live pose still lacks; empty if nothing',
+    'runner_up_ratio': 'cost of the best alternative pose divided by the cost of the pose',
+    'weakest_direction': 'the least constrained motion, a sentence',
+    'touch_next': 'where to touch next, a sentence',
+    'live.points': 'points used by the live pose',
+    'live.reason': 'why the live pose cannot be registered yet; empty if it can',
     'live.predicted_tre_m.*': 'as above, of the live pose, m',
-    'stroke.*': 'what each stroke is worth, a sentence',
-    'landmark_miss_m.*': 'how far each landmark was touched from its place on the registered bone, '
+    'stroke.*': 'how many points of each stroke lie on the bone, a sentence',
+    'landmark_miss_m.*': 'distance of each touched landmark from its place on the registered bone, '
                          'm',
-    'verification': 'all verification points at a glance, a sentence; not there without any',
+    'verification': 'summary of all verification points, a sentence; absent without any',
 }
 REASONS = {
-    Reason.CONVERGED: 'there is a pose; all else is a refusal',
+    Reason.CONVERGED: 'success; every other reason is a refusal',
     Reason.TOO_FEW_POINTS: 'drag the probe over the bone for longer',
-    Reason.REGION_TOO_SMALL: 'drag it over more of the bone',
-    Reason.UNDER_CONSTRAINED: 'the points leave a motion open; touch where the sentence says',
+    Reason.REGION_TOO_SMALL: 'drag the probe over more of the bone',
+    Reason.UNDER_CONSTRAINED: 'the points do not constrain the pose; touch where the sentence says',
     Reason.AMBIGUOUS: 'several poses fit; touch where they differ, as the sentence says',
     Reason.TOO_FEW_INLIERS: 'most points are not on this bone: another bone, or a bent probe',
     Reason.MODEL_MISMATCH: 'the points fit no better than on another bone: wrong patient or side',
-    Reason.NOT_CONVERGED: 'no pose was settled on; start from landmarks, or touch more',
-    Reason.WRONG_UNIT: 'a length is a thousand times off: mm taken for m',
-    Reason.BAD_INPUT: 'something given cannot be used; the sentence says what',
-    Reason.NO_MODEL: 'there is no bone; set `model.path`',
+    Reason.NOT_CONVERGED: 'the solver did not converge; start from landmarks, or touch more',
+    Reason.WRONG_UNIT: 'a length is a thousand times too large or too small: mm taken for m',
+    Reason.BAD_INPUT: 'an input cannot be used; the sentence says which',
+    Reason.NO_MODEL: 'no bone is loaded; set `model.path`',
 }
 
 
@@ -105,44 +106,46 @@ class Row(NamedTuple):
 
 
 def rows(operator: Operator, node: str) -> list[Row]:
-    """Return what ``node`` hears, serves and says, as the ROS graph tells it."""
+    """Return the topics and services of ``node``, from the ROS graph."""
     graph, name = operator.node, node.strip('/')
     operator.spin_until(lambda: (name, '/') in graph.get_node_names_and_namespaces()
-                        and heard_and_said(operator, node)[0] >= HEARD.keys()
-                        and heard_and_said(operator, node)[1] >= SAID.keys(),
-                        'a topic described in docs/interface.py is not there (is tf2_msgs?)')
-    heard = dict(graph.get_subscriber_names_and_types_by_node(name, '/'))
+                        and subscribed_and_published(operator, node)[0] >= SUBSCRIBED.keys()
+                        and subscribed_and_published(operator, node)[1] >= PUBLISHED.keys(),
+                        'a topic in docs/interface.py is missing (is tf2_msgs installed?)')
+    subscribed = dict(graph.get_subscriber_names_and_types_by_node(name, '/'))
     serving = dict(graph.get_service_names_and_types_by_node(name, '/'))
-    said = dict(graph.get_publisher_names_and_types_by_node(name, '/'))
+    published = dict(graph.get_publisher_names_and_types_by_node(name, '/'))
     table = []
-    for topic in HEARD:
-        if topic in heard:
+    for topic in SUBSCRIBED:
+        if topic in subscribed:
             profile = _profile(graph.get_subscriptions_info_by_topic(topic), name)
-            table.append(_row('sub', topic, heard[topic], _quality(profile), HEARD[topic]))
+            table.append(_row('sub', topic, subscribed[topic], _quality(profile),
+                              SUBSCRIBED[topic]))
     for service, handler in vars(Services).items():
         if f'{node}/{service}' in serving:
             table.append(_row('srv', f'~/{service}', serving[f'{node}/{service}'], '',
                               _first_sentence(handler.__doc__)))
-    for topic in SAID:
+    for topic in PUBLISHED:
         full = topic.replace('~', node)
-        if full in said:
+        if full in published:
             profile = _profile(graph.get_publishers_info_by_topic(full), name)
-            table.append(_row('pub', topic, said[full], _quality(profile), SAID[topic]))
+            table.append(_row('pub', topic, published[full], _quality(profile), PUBLISHED[topic]))
     return table
 
 
-def heard_and_said(operator: Operator, node: str) -> tuple[set[str], set[str]]:
-    """Return the topics that ``node`` hears and says, but for those every lifecycle node has."""
+def subscribed_and_published(operator: Operator, node: str) -> tuple[set[str], set[str]]:
+    """Return the topics of ``node``, without those of every lifecycle node."""
     graph, name = operator.node, node.strip('/')
     common = {'/rosout', '/parameter_events', '/clock', '~/transition_event'}
-    heard, said = ({topic.replace(f'{node}/', '~/') for topic, _ in topics(name, '/')} - common
-                   for topics in (graph.get_subscriber_names_and_types_by_node,
-                                  graph.get_publisher_names_and_types_by_node))
-    return heard, said
+    subscribed, published = (
+        {topic.replace(f'{node}/', '~/') for topic, _ in topics(name, '/')} - common
+        for topics in (graph.get_subscriber_names_and_types_by_node,
+                       graph.get_publisher_names_and_types_by_node))
+    return subscribed, published
 
 
 def described(value: str) -> str:
-    """Return the name by which a value of the status is described; empty if nobody has."""
+    """Return the entry of `STATUS` that describes a status value; empty if there is none."""
     return next((name for name in STATUS
                  if re.fullmatch(re.escape(name).replace(r'\*', '.+'), value)), '')
 
@@ -154,29 +157,29 @@ def page(table: list[Row]) -> str:
         'Written by `python docs/interface.py` from the code and from a running node. `~` is the '
         "node's name, `/registration`. Metres, radians and seconds throughout (REP-103).", '',
         '## Topics and services', '',
-        'Beside these there is what every lifecycle node has: `~/change_state` and its like, and '
-        'the services of parameters. Every service answers with success and one plain sentence, '
-        'in every state of the node.', '',
+        'Every lifecycle node also has `~/change_state` and related services, and the parameter '
+        'services. Every service answers with success and one sentence, in every state of the '
+        'node.', '',
         '| kind | name | type | quality | meaning |', '|---|---|---|---|---|',
         *(f'| {row.kind} | `{row.name}` | {row.type} | {row.quality} | {row.meaning} |'
           for row in table), '',
-        'Latched: reliable, transient local, depth 1; one who joins late hears the last message.',
+        'Latched: reliable, transient local, depth 1; late subscribers receive the last message.',
         '', '## Status', '',
-        'The message of `~/status` is for people, its values are for programs:', '',
+        'The message of `~/status` is for people, the values are for programs:', '',
         '| value | meaning |', '|---|---|',
         *(f'| `{name}` | {meaning} |' for name, meaning in STATUS.items()), '',
         'Reasons:', '', '| reason | what to do |', '|---|---|',
         *(f'| `{reason}` | {meaning} |' for reason, meaning in REASONS.items()), '',
         '## Parameters', '',
-        'All have a default; you need to give none but `model.path`. All can be set while the node '
-        'runs and take effect at once, but for those marked *configure*, which are read when the '
-        'node is configured and refused otherwise. A change of `model.path`, `model.unit` or '
-        '`model.voxel_size` loads the bone beside the running session: until it is there, and if '
-        'it cannot be had, the one in use is kept. Points stay; landmarks and targets are those of '
-        'one bone: name those of the other in the same request, or they are dropped. With '
-        '`session.path` the journal goes along. `collect.automatic` counts at activation. A '
-        'request is carried out as a whole or refused as a whole with a sentence. Names and '
-        'positions change together, in one request of `~/set_parameters_atomically`:', '',
+        'All parameters have a default; only `model.path` is required. They can be set while the '
+        'node runs and take effect at once, except those marked *configure*: these are read when '
+        'the node is configured, and a later change is rejected. A change of `model.path`, '
+        '`model.unit` or `model.voxel_size` loads the bone beside the running session. Until it is '
+        'loaded, and if it cannot be loaded, the current bone stays in use. Points stay; landmarks '
+        'and targets belong to one bone: set those of the new bone in the same request, or they '
+        'are dropped. The journal follows `session.path`. `collect.automatic` is read at '
+        'activation. A request is applied or rejected as a whole, with a sentence. Set names and '
+        'positions together, in one request of `~/set_parameters_atomically`:', '',
         '```', *_pair_example(), '```', '',
         '| parameter | type | default | range | meaning |', '|---|---|---|---|---|',
         *_parameters(), ''])
@@ -190,7 +193,7 @@ def readme_table(table: list[Row]) -> str:
 
 
 def with_table(readme: str, table: list[Row]) -> str:
-    """Return README.md with its table as it must be."""
+    """Return README.md with its table updated."""
     head, _, rest = readme.partition(BEGIN)
     _, _, tail = rest.partition(END)
     return f'{head}{BEGIN}\n{readme_table(table)}\n{END}{tail}'
@@ -202,12 +205,12 @@ def _row(kind: str, name: str, types: list[str], quality: str, meaning: str) -> 
 
 
 def _profile(infos: Sequence[TopicEndpointInfo], node: str) -> QoSProfile:
-    """Return the quality of the endpoint of ``node`` among those of a topic."""
+    """Return the QoS profile of the endpoint of ``node`` on a topic."""
     return next(info for info in infos if info.node_name == node).qos_profile
 
 
 def _quality(profile: QoSProfile) -> str:
-    """Return in words how reliably a topic is carried."""
+    """Return the reliability of a topic in words."""
     reliable = profile.reliability == ReliabilityPolicy.RELIABLE
     if reliable and profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
         return 'latched'
@@ -244,11 +247,11 @@ def _parameters() -> Iterator[str]:
         meaning = about['description'].replace('|', '\\|') + (f' [{unit}]' if unit else '') + mark
         yield f'| `{name}` | {kind} | {shown} | {bounds} | {meaning} |'
     yield ('| `autostart` | bool | `True` |  | become active without a lifecycle manager; '
-           'given at the start only |')
+           'read at start only |')
 
 
 def main() -> int:
-    """Look at a node and write both."""
+    """Start a node, inspect it and write both."""
     from gsdf_registration.cli.demo import running
     with own_domain() as environment, tempfile.TemporaryDirectory() as folder:
         os.environ.update(environment)

@@ -25,9 +25,9 @@ def test_the_documents_are_as_written_from_a_running_node(start_node: StartNode)
     with Client(node) as client:
         client.await_state('active')
         table = interface.rows(client, node.name)
-        heard, said = interface.heard_and_said(client, node.name)
-    assert heard == interface.HEARD.keys()
-    assert said == interface.SAID.keys()
+        subscribed, published = interface.subscribed_and_published(client, node.name)
+    assert subscribed == interface.SUBSCRIBED.keys()
+    assert published == interface.PUBLISHED.keys()
     advice = 'run python docs/interface.py to write it anew'
     assert interface.PAGE.read_text() == interface.page(table), advice
     readme = interface.README.read_text()
