@@ -12,3 +12,8 @@ def counted(number: int, noun: str, plural: str = '') -> str:
 def length(metres: float) -> str:
     """Return a length in the unit that suits it, to a hundredth of a millimetre at best."""
     return f'{metres:.3g} m' if metres >= 1.0 else f'{round(1e3 * metres, 2):.3g} mm'
+
+
+def expected_error(metres: float) -> str:
+    """Return an expected error in millimetres, to a tenth; never 0.0 mm."""
+    return f'{1e3 * metres:.1f} mm' if metres >= 5e-5 else '< 0.1 mm'
