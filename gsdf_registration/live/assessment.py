@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.result import Reason, Refusal, Touch
+from gsdf_registration.common.point_filters import filter_isolated
+from gsdf_registration.common.result import NextTouch, Reason, Refusal
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
@@ -22,7 +23,6 @@ from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.pipeline import attempt, check_points
 from gsdf_registration.registration.pose_selection import SelectedPose
 from gsdf_registration.registration.stroke_report import StrokeReport, report
-from gsdf_registration.search.point_filters import filter_isolated
 from gsdf_registration.solver import Solution
 
 SEEN = 2    # times the points used that are looked at, or it would take ever longer
@@ -74,9 +74,9 @@ class FullAssessment:
         return next(iter(self.rejection_reasons), None)
 
     @property
-    def touches(self) -> tuple[Touch, ...]:
+    def touches(self) -> tuple[NextTouch, ...]:
         """Where to touch next, best first: what is seen is what is spoken of."""
-        return () if self.rejection_reason is None else self.rejection_reason.touches
+        return () if self.rejection_reason is None else self.rejection_reason.next_touches
 
 
 def survey(points: Points, field: Field, config: Config, before: Solution | None,
@@ -112,7 +112,7 @@ def survey(points: Points, field: Field, config: Config, before: Solution | None
         return FullAssessment(points, rejection_reasons=(refusal,))
     rows = evenly(np.arange(len(positions)), SEEN * config.live.max_points)
     seen = positions[rows]
-    dense = np.flatnonzero(filter_isolated(seen, config.search.radius))
+    dense = np.flatnonzero(filter_isolated(seen))
     count = len(dense) * len(positions) // len(rows)
     chosen = evenly(dense, config.live.max_points)
     searched = count >= search_from

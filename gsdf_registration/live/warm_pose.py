@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.point_filters import has_neighbours
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import Confidence, reassess
-from gsdf_registration.search.point_filters import MIN_NEIGHBOURS
 from gsdf_registration.solver import Neighbourhood, Solution, allow_for_model_error, refine
 
 MOVED = 0.003   # m: farther from where they were found, neighbours are others
@@ -44,8 +43,7 @@ class WarmPose:
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         self._corners = np.array([low, high])[CORNERS, [0, 1, 2]]
         self._T_of_neighbours = self.solution.T_bone_tracker
-        self._neighbourhood = Neighbourhood(self.points, self._field, self._T_of_neighbours,
-                                            self._config.solver.neighbours)
+        self._neighbourhood = Neighbourhood(self.points, self._field, self._T_of_neighbours)
         self._solve(carry=False)
         self.solution = allow_for_model_error(self.solution, self.points)
 
@@ -62,9 +60,8 @@ class WarmPose:
         A few among many wait for others before it is solved again.
         """
         self._held = np.concatenate([self._held, points])
-        around = (cdist(points, self._held) <= self._config.search.radius).sum(axis=1) - 1
         room = max(self._config.live.max_points - len(self.points), 0)
-        joining = points[around >= MIN_NEIGHBOURS][:room]
+        joining = points[has_neighbours(points, self._held)][:room]
         if not len(joining):
             return
         self.points = np.concatenate([self.points, joining])

@@ -148,7 +148,7 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
 def assess_at(solution: Solution, points: Array, field: Field,
               config: SolverConfig) -> Confidence | None:
     """Return `assess` over the points nearest to each along the bone."""
-    around = nearest_neighbours(points, field, solution.T_bone_tracker, config.neighbours)
+    around = nearest_neighbours(points, field, solution.T_bone_tracker)
     return assess(solution, points, around)
 
 

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config, LimitsConfig
-from gsdf_registration.common.formatting import length
+from gsdf_registration.common.formatting import format_length
+from gsdf_registration.common.point_filters import filter_isolated
 from gsdf_registration.common.result import (
     InputError,
     Reason,
@@ -31,7 +32,6 @@ from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.landmarks import pose_from_landmarks
 from gsdf_registration.registration.pose_selection import choose, solve_all
 from gsdf_registration.search.global_search import find_start_poses
-from gsdf_registration.search.point_filters import filter_isolated
 
 
 def register(points: ArrayLike,
@@ -77,7 +77,7 @@ def register(points: ArrayLike,
         check_points(points, field, config.limits)
         guess = first_guess(landmarks, T_tracker_bone)
         # Points on strokes, each once; the rest is strewn interference or a reading repeated
-        dense = filter_isolated(points, config.search.radius)
+        dense = filter_isolated(points)
         # Round the guess, if there is one; anywhere, if there is none or its result is doubtful
         for start in (None,) if guess is None else (guess, None):
             found = attempt(points, dense, start, field, config, cancelled, progress, history)
@@ -122,7 +122,7 @@ def attempt(points: Array,
     started = perf_counter()
     # Where the bone may be
     basins = find_start_poses(used, field, config.search, guess, cancelled,
-                         progress)[:config.search.solutions]
+                         progress)
     searched = perf_counter()
     # The best of the local solutions, and the next-best elsewhere
     starts = [*basins] if guess is None else [guess, *basins]
@@ -144,7 +144,7 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'points must be an (n, 3) array, not of shape {points.shape}')
     # NaN, infinite, or a tracker's word for missing
-    bad = int((~(np.abs(points) < rigid.FARTHEST).all(axis=1)).sum())
+    bad = int((~(np.abs(points) < rigid.MAX_COORDINATE).all(axis=1)).sum())
     if bad:
         raise InputError(
             f'not finite: {bad} of {len(points)} points; drop them before registering')
@@ -158,12 +158,12 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     if not 0.002 * field.extent < extent < 20.0 * field.extent and extent > 0.0:
         raise Refusal(
             Reason.WRONG_UNIT,
-            f'the points span {length(extent)} and the bone {length(field.extent)}: '
+            f'the points span {format_length(extent)} and the bone {format_length(field.extent)}: '
             'check the unit of the points (m or mm), and that the tip was moved')
     if extent < limits.min_extent:
         raise Refusal(
             Reason.REGION_TOO_SMALL,
-            f'the points span only {length(extent)}, {length(limits.min_extent)} are '
+            f'the points span only {format_length(extent)}, {format_length(limits.min_extent)} are '
             'needed; drag the probe over more of the bone')
 
 

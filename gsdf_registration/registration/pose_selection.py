@@ -83,10 +83,10 @@ def choose(solutions: Sequence[Solution], points: Array, field: Field,
     best = max(solutions, key=lambda solution: solution.rank)
     placed = [rigid.transform(solution.T_bone_tracker, points) for solution in (best, *solutions)]
     residuals = [field.sample(x)[0] for x in placed]
-    neighbours = nearest_neighbours(points, field, best.T_bone_tracker, config.neighbours)
+    neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
     scatter = max(_scatter(best, neighbours), 0.01 * field.voxel_size)
     # the same yardstick for all: the likelihood of the local means, the cost that levels off
-    likelihood = [patch_likelihood(e, neighbours, scatter, config.reach) for e in residuals]
+    likelihood = [patch_likelihood(e, neighbours, scatter) for e in residuals]
     cost = [(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals]
     found, rivals = [placed[0]], []
     for k in np.argsort(likelihood, kind='stable')[::-1]:
@@ -145,12 +145,10 @@ def solve_all(points: Array,
             return solutions
         for _ in range(ROUNDS):
             best = max(solutions, key=lambda solution: solution.rank)
-            neighbours = nearest_neighbours(points, field, best.T_bone_tracker,
-                                            config.solver.neighbours)
+            neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
             if _explained(best, neighbours) > EXPLAINED:
                 break
-            poses = consensus(points, field, best.T_bone_tracker, neighbours, config.search.spacing,
-                              config.solver.reach, CANDIDATES)
+            poses = consensus(points, field, best.T_bone_tracker, neighbours, CANDIDATES)
             found = list(pool.map(partial(near, neighbours=neighbours, scatter=SCATTER), poses))
             solutions += found
             if max(solution.rank for solution in found) < (best.exact, best.score + 1.0):

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsdf_registration.common.formatting import counted
-from gsdf_registration.common.result import ON_BONE
+from gsdf_registration.common.formatting import format_count
+from gsdf_registration.common.point_filters import first_duplicate
+from gsdf_registration.common.result import INLIER_WEIGHT
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points
-from gsdf_registration.search.point_filters import first_duplicate
 
 # a stroke is interference if no larger share of it lies on the bone: where it is split, a few
 # points of the one before or after are in it
@@ -34,7 +34,7 @@ class StrokeReport:
     def sentence(self) -> str:
         """Return the report in plain words."""
         on_bone = round(self.share_on_bone * self.points)
-        words = (f'stroke {self.number}: {counted(self.points, "point")}, '
+        words = (f'stroke {self.number}: {format_count(self.points, "point")}, '
                  f'{on_bone or "none"} on the bone')
         if self.rms_m is not None:
             words += f', {1e3 * self.rms_m:.2f} mm RMS'
@@ -58,7 +58,7 @@ def report(points: Points, residuals: Array, weights: Array) -> list[StrokeRepor
     # a reading repeated is not used again, and as good as it was the first time
     first = first_duplicate(points.positions)
     weights, residuals = weights[first], residuals[first]
-    on_bone = (weights > ON_BONE) & np.isfinite(residuals)
+    on_bone = (weights > INLIER_WEIGHT) & np.isfinite(residuals)
     numbers, stroke = np.unique(points.strokes, return_inverse=True)
     total = np.bincount(stroke, minlength=len(numbers))
     good = np.bincount(stroke[on_bone], minlength=len(numbers))

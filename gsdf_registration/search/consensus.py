@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gsdf_registration.common import rigid
+from gsdf_registration.common.downsampling import farthest_point_sample, voxel_downsample
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.search.descent import descend
-from gsdf_registration.search.global_search import distinct
-from gsdf_registration.search.point_filters import farthest_point_sample, voxel_downsample
+from gsdf_registration.search.global_search import VOXEL
+from gsdf_registration.search.start_poses import distinct
 from gsdf_registration.solver.mixture import patch_likelihood
 
 DRAWS = 150         # of three patches; with 40 % interference one in five is of bone alone
@@ -32,7 +33,7 @@ APART = 0.00025     # m (RMS over the points) between poses returned
 
 
 def consensus(points: Array, field: Field, T_bone_tracker: Array, neighbours: NDArray[np.int64],
-              spacing: float, reach: float, count: int) -> Array:
+              count: int) -> Array:
     """
     Return distinct poses near a first one that hold for a few patches, the most likely first.
 
@@ -42,8 +43,6 @@ def consensus(points: Array, field: Field, T_bone_tracker: Array, neighbours: ND
     field : of the bone
     T_bone_tracker : (4, 4) float, where to begin
     neighbours : (n, k) int of the points
-    spacing : float, metres, of the points that patches are made of
-    reach : float, metres, interference is sought this far from the bone
     count : int, how many at most
 
     Returns
@@ -51,7 +50,7 @@ def consensus(points: Array, field: Field, T_bone_tracker: Array, neighbours: ND
     (m, 4, 4) float, T_bone_tracker each
 
     """
-    sparse = points[voxel_downsample(points, spacing)]
+    sparse = points[voxel_downsample(points, VOXEL)]
     sparse = sparse[farthest_point_sample(sparse, POINTS)]
     centres = sparse[farthest_point_sample(sparse, CENTRES)]
     patch = cKDTree(sparse).query(centres, k=min(max(8, int(SHARE * len(sparse))), len(sparse)))[1]
@@ -59,7 +58,7 @@ def consensus(points: Array, field: Field, T_bone_tracker: Array, neighbours: ND
     drawn = [np.unique(patch[rng.permutation(len(patch))[:PATCHES]]) for _ in range(DRAWS)]
     poses = np.array([_fit(sparse[draw], field, T_bone_tracker) for draw in drawn])
     likelihood = [patch_likelihood(field.sample(rigid.transform(T, points))[0], neighbours,
-                                   SCATTER, reach) for T in poses]
+                                   SCATTER) for T in poses]
     poses = poses[np.argsort(likelihood, kind='stable')[::-1]]
     centre = points.mean(axis=0)
     placed = np.array([rigid.transform(T, centre) for T in poses])

@@ -20,20 +20,23 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SearchConfig
+from gsdf_registration.common.downsampling import (
+    farthest_point_sample,
+    principal_frame,
+    voxel_downsample,
+)
+from gsdf_registration.common.point_filters import RADIUS
 from gsdf_registration.common.result import Cancelled
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.search.descent import descend, glance
-from gsdf_registration.search.point_filters import (
-    crowded,
-    farthest_point_sample,
-    parts,
-    principal_frame,
-    voxel_downsample,
-)
-from gsdf_registration.search.start_poses import Poses, around, super_fibonacci
-from gsdf_registration.search.start_poses import distinct as distinct
+from gsdf_registration.search.point_subsets import filter_sparse, local_subsets
+from gsdf_registration.search.start_poses import Poses, around, distinct, super_fibonacci
 
+CAPTURE_RANGE = 0.02        # m: a start pose within this distance converges to the pose
+# m: of the points in a voxel one is used; poses that move the points less than this are one pose
+VOXEL = 0.002
+START_POSES = 6     # returned: of the best fits at this accuracy one is the pose, as a rule
 GLANCE = 16         # points of the first look at a start
 SEEN = 4000         # starts that pass it
 CHUNK = 64          # candidates a task: small enough to share evenly and to stop soon
@@ -70,7 +73,8 @@ def find_start_poses(points: Array,
                 config: SearchConfig,
                 T_bone_tracker: Array | None = None,
                 cancelled: Callable[[], bool] | None = None,
-                progress: Callable[[float], None] | None = None) -> Array:
+                progress: Callable[[float], None] | None = None,
+                count: int = START_POSES) -> Array:
     """
     Return the distinct poses that fit, best first.
 
@@ -83,6 +87,7 @@ def find_start_poses(points: Array,
     config : SearchConfig
     T_bone_tracker : (4, 4) float, a first guess to look around; None: everywhere
     cancelled, progress : as in `register`
+    count : int, how many poses at most
 
     Returns
     -------
@@ -93,8 +98,8 @@ def find_start_poses(points: Array,
     Cancelled
 
     """
-    chosen = voxel_downsample(points, config.spacing)
-    dense = crowded(points, chosen, config.radius)
+    chosen = voxel_downsample(points, VOXEL)
+    dense = filter_sparse(points, chosen, RADIUS)
     T_own_tracker = principal_frame(points[chosen])
     points = rigid.transform(T_own_tracker, points[chosen])
     core, points = points[dense], points[farthest_point_sample(points, STAGES[-1].points)]
@@ -108,7 +113,8 @@ def find_start_poses(points: Array,
             poses = Poses.joined([near, _sieve(work, FIRST, core, field, config, near)])
         for stage in STAGES:
             poses = _sieve(work, stage, points, field, config, poses)
-    return np.array([rigid.from_rt(R, t) @ T_own_tracker for R, t in zip(*poses)])
+    return np.array([rigid.from_rt(R, t) @ T_own_tracker
+                     for R, t in zip(poses.R[:count], poses.t[:count])])
 
 
 def _from_anywhere(work: _Work, points: Array, field: Field, config: SearchConfig) -> Poses:
@@ -118,7 +124,7 @@ def _from_anywhere(work: _Work, points: Array, field: Field, config: SearchConfi
     rotations = super_fibonacci(config.rotations)
     return Poses.joined(
         work((work.pool.submit(_first_sieve, part, field, config, rotations, places)
-              for part in parts(points, config.parts)), FIRST.done))
+              for part in local_subsets(points, config.parts)), FIRST.done))
 
 
 def _first_sieve(points: Array, field: Field, config: SearchConfig, rotations: Array,
@@ -127,7 +133,7 @@ def _first_sieve(points: Array, field: Field, config: SearchConfig, rotations: A
     centre = points.mean(axis=0)
     points = points - centre
     cost = np.empty(len(rotations) * len(places))
-    glance(field.arrays, _columns(points, GLANCE), rotations, places, config.reach, cost)
+    glance(field.arrays, _columns(points, GLANCE), rotations, places, CAPTURE_RANGE, cost)
     seen = np.argsort(cost, kind='stable')[:SEEN]
     poses, cost = Poses(rotations[seen // len(places)], places[seen % len(places)]), cost[seen]
     _descend(FIRST, points, field, config, poses, cost)
@@ -148,13 +154,13 @@ def _descend(stage: Stage, points: Array, field: Field, config: SearchConfig, po
              cost: Array) -> None:
     """Pull poses in and fill their cost, in place."""
     descend(field.arrays, stage.fine, _columns(points, stage.points), poses.R, poses.t,
-            config.reach * np.array(stage.scales), cost)
+            CAPTURE_RANGE * np.array(stage.scales), cost)
 
 
 def _best(stage: Stage, points: Array, config: SearchConfig, poses: Poses, cost: Array) -> Poses:
     """Return the distinct best, best first."""
     ranked = poses.pick(np.argsort(cost, kind='stable'))
-    return ranked.pick(distinct(*ranked, points, config.spacing, stage.survivors))
+    return ranked.pick(distinct(*ranked, points, VOXEL, stage.survivors))
 
 
 def _columns(points: Array, count: int) -> NDArray[np.float32]:

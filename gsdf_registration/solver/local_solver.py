@@ -17,12 +17,14 @@ from gsdf_registration.field import Field
 from gsdf_registration.solver import gauss_newton
 from gsdf_registration.solver.bias_correction import bias_correction
 from gsdf_registration.solver.centroid_frame import about_centroid, pose_about
-from gsdf_registration.solver.mixture import expectation_maximization
+from gsdf_registration.solver.mixture import INTERFERENCE_RANGE, expectation_maximization
 from gsdf_registration.solver.model_error import ModelError, find_model_error
 from gsdf_registration.solver.neighbourhood import nearest_neighbours
-from gsdf_registration.solver.paper import algorithm_1
+from gsdf_registration.solver.paper import DISCARD_BELOW, HOLD, WEIGHT_TOLERANCE, algorithm_1
 
 START = 0.0015      # m, scatter of the local means at first: a fair guess is so far off
+# m, length of the last step: far below the noise of any tracker, far above rounding errors
+TOLERANCE = 1e-6
 COOLING = 0.85      # by which it falls a round
 
 
@@ -118,7 +120,7 @@ def solve(points: Array,
     if config.method == 'paper':
         return _paper(points, field, T_bone_tracker, config, history)
     if neighbours is None:
-        neighbours = nearest_neighbours(points, field, T_bone_tracker, config.neighbours)
+        neighbours = nearest_neighbours(points, field, T_bone_tracker)
     # the noise is estimated at once, and most of what is touched is bone
     limit = 0.5 * config.model_error if exact else config.model_error
     first = Estimates(0.0, scatter, 0.7, limit)
@@ -152,7 +154,7 @@ def refine(points: Array,
         return _paper(points, field, previous.T_bone_tracker, config, False)
     settled = rigid.inverse(previous.step) @ previous.T_bone_tracker
     if neighbours is None:
-        neighbours = nearest_neighbours(points, field, settled, config.neighbours)
+        neighbours = nearest_neighbours(points, field, settled)
     return _mixture(points, neighbours, field, settled, config, False, previous.estimates,
                     previous.exact, True, previous.step if carry else None)
 
@@ -198,7 +200,7 @@ def _mixture(points: Array,
     steps, found = gauss_newton.empty_history(config.max_iterations), np.array(estimates)
     ended, rounds, likelihood, fits = expectation_maximization(
         field.arrays, centred, R, t, neighbours, weight, curvature, e, J, steps, found, strict,
-        exact, COOLING, config.reach, config.tolerance)
+        exact, COOLING, INTERFERENCE_RANGE, TOLERANCE)
     settled, precision = _pose(centre, R, t), np.ones(len(points))
     if step is None:
         if ended != gauss_newton.SINGULAR:
@@ -216,8 +218,7 @@ def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverCon
     e, J = np.zeros(len(points)), np.zeros((len(points), 6))
     steps = gauss_newton.empty_history(config.max_iterations)
     ended, rounds = algorithm_1(field.arrays, centred, R, t, keep, weight, e, J, steps,
-                                config.cauchy_scale, config.discard_below, config.weight_tolerance,
-                                config.hold)
+                                config.cauchy_scale, DISCARD_BELOW, WEIGHT_TOLERANCE, HOLD)
     e[~keep] = np.nan
     # d(w e)/de of the Cauchy weight
     curvature = np.where(keep, weight * (2.0 * weight - 1.0), 0.0)

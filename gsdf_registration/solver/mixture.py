@@ -15,8 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsdf_registration.common.numba_options import kernel
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver.gauss_newton import (
     EXHAUSTED,
     SETTLED,
@@ -30,6 +32,8 @@ from gsdf_registration.solver.gauss_newton import (
 )
 from gsdf_registration.solver.median import median
 
+# m: interference is modelled as uniform within this distance of the bone, as thick as soft tissue
+INTERFERENCE_RANGE = 0.006
 OUTSIDE = 0.9       # share of the interference that lies outside the bone
 # a point this much less likely than its neighbours (3.2 sigma) is interference of its own
 LONE = 5.0
@@ -218,9 +222,22 @@ def _odds_at_zero(share, scatter, reach):
     return odds - math.log(1.0 - OUTSIDE), odds - math.log(OUTSIDE)
 
 
+def patch_likelihood(e: Array, neighbours: NDArray[np.int64], scatter: float) -> float:
+    """
+    Return the log-likelihood of residuals, with a given standard deviation of their local means.
+
+    Parameters
+    ----------
+    e : (n,) float, metres
+    neighbours : (n, k) int
+    scatter : float, metres
+
+    """
+    return float(_patch_likelihood(e, neighbours, scatter, INTERFERENCE_RANGE))
+
+
 @kernel
-def patch_likelihood(e, neighbours, scatter, reach):
-    """Return the log-likelihood of residuals ``e`` (n,) whose local means scatter by so much."""
+def _patch_likelihood(e, neighbours, scatter, reach):
     n, K = neighbours.shape
     mean = np.zeros(n)
     _local_means(e, neighbours, reach, np.zeros(2 * n), mean)

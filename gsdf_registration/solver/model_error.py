@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gsdf_registration.common.downsampling import farthest_point_sample
 from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.search.point_filters import farthest_point_sample
 
 # that points are gathered in, over each of which the error is one: few tell its size, which takes
 # many trials, more the pose; and how many points there must be in each, on average

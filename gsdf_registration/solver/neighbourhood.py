@@ -12,11 +12,14 @@ from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 
+# points whose mean residual tells bone from interference: more of them average out more noise,
+# fewer resolve smaller patches of interference
+NEIGHBOURS = 16
 FLATTENED = 0.75    # share of its distance to the bone that a point is moved to find neighbours
 
 
 def nearest_neighbours(points: Array, field: Field, T_bone_tracker: Array,
-                       count: int) -> NDArray[np.int64]:
+                       count: int = NEIGHBOURS) -> NDArray[np.int64]:
     """
     Return indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first.
 
@@ -57,7 +60,8 @@ class Neighbourhood:
 
     """
 
-    def __init__(self, points: Array, field: Field, T_bone_tracker: Array, count: int) -> None:
+    def __init__(self, points: Array, field: Field, T_bone_tracker: Array,
+                 count: int = NEIGHBOURS) -> None:
         self._field, self._T_bone_tracker, self._count = field, T_bone_tracker, count
         self._begin(_flattened(points, field, T_bone_tracker))
 

@@ -24,6 +24,11 @@ from gsdf_registration.solver.gauss_newton import (
     update,
 )
 
+# The values of the paper, Algorithm 1
+DISCARD_BELOW = 0.1         # delta: a point of less weight is discarded
+WEIGHT_TOLERANCE = 1e-3     # epsilon: IRLS has converged when the weights change less (RMS)
+HOLD = 2                    # iterations in a row that must meet it
+
 
 @kernel
 def algorithm_1(field, points, R, t, keep, weight, e, J, history,
