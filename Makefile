@@ -12,14 +12,15 @@ export AMENT_PREFIX_PATH := $(VENV)
 .PHONY: demo test lint bench clean
 .DELETE_ON_ERROR:
 
-demo: $(VENV)/.installed-ros,report $(VENV)/.shared
+demo: $(VENV)/.installed-ros,messages,report $(VENV)/.shared
+	$(BIN)/python tools/build_messages.py --optional
 	$(BIN)/gsdf demo
 
-test: $(VENV)/.installed-ros,test $(VENV)/.shared
-	$(BIN)/python test/ros/tf2_msgs/build.py
+test: $(VENV)/.installed-ros,messages,test $(VENV)/.shared
+	$(BIN)/python tools/build_messages.py
 	$(BIN)/pytest $(PYTEST_ARGS)
 
-lint: $(VENV)/.installed-ros,test
+lint: $(VENV)/.installed-ros,messages,test
 	$(BIN)/ruff check
 	$(BIN)/mypy
 

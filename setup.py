@@ -42,7 +42,7 @@ setup(
     maintainer='gsdf_registration maintainers',
     maintainer_email='maintainers@example.org',
     license='Apache-2.0',
-    packages=find_packages(include=[f'{NAME}*', 'msg_adapters*']),
+    packages=find_packages(include=[NAME, f'{NAME}.*', 'msg_adapters', 'msg_adapters.*']),
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -67,20 +67,8 @@ setup(
             'ros-jazzy-common-interfaces==5.3.6',
             'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
         ],
-        'report': ['matplotlib>=3.7', 'plotly>=5'],
-        'bench': ['libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich', 'small_gicp>=1.0'],
-        'test': [
-            'pytest>=8',
-            'pytest-timeout',
-            'hypothesis',
-            'ruff==0.17.6',
-            'mypy==2.4.1',
-            'types-PyYAML',
-            'scikit-image',
-            'matplotlib>=3.7',
-            'plotly>=5',
-            'colcon-common-extensions==0.3.0',
-    # What builds tf2_msgs, see test/ros/tf2_msgs/build.py.
+        # what tools/build_messages.py needs, beside a C++ compiler
+        'messages': [
             'cmake',
             'ninja',
             'catkin_pkg==1.1.1',
@@ -94,6 +82,20 @@ setup(
             'ros-jazzy-ament-cmake-pytest==2.5.4',
             'ros-jazzy-ament-cmake-ros==0.12.0',
             'ros-jazzy-python-cmake-module==0.11.1',
+        ],
+        'report': ['matplotlib>=3.7', 'plotly>=5'],
+        'bench': ['libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich', 'small_gicp>=1.0'],
+        'test': [
+            'pytest>=8',
+            'pytest-timeout',
+            'hypothesis',
+            'ruff==0.17.6',
+            'mypy==2.4.1',
+            'types-PyYAML',
+            'scikit-image',
+            'matplotlib>=3.7',
+            'plotly>=5',
+            'colcon-common-extensions==0.3.0',
         ],
     },
     entry_points={

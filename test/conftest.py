@@ -18,7 +18,8 @@ from msg_adapters.truth import Truth, read_truth
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE',
-           'resource', 'config', 'launch', 'bags', 'gsdf_registration', 'msg_adapters', 'test')
+           'resource', 'config', 'launch', 'bags', 'gsdf_registration', 'gsdf_registration_msgs',
+           'msg_adapters', 'test')
 
 
 @pytest.fixture(scope='session')

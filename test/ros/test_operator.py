@@ -36,7 +36,7 @@ def register_at(tracker: Tracker, T_moved: np.ndarray) -> None:
 def latched_pose(node: NodeProcess) -> np.ndarray:
     """Return the pose as one who joins only now receives it."""
     with Client(node) as late_joiner:
-        return ros.pose_from(late_joiner.hear(PoseStamped, '~/bone_pose'))[1]
+        return ros.pose_from(late_joiner.receive(PoseStamped, '~/bone_pose'))[1]
 
 
 def test_a_new_registration_replaces_the_pose_for_everyone(
@@ -193,8 +193,8 @@ def test_a_second_registration_is_answered_at_once_while_one_runs(tracker: Track
 def test_the_points_are_shown_in_the_bone_frame(tracker: Tracker, shared_node: NodeProcess) -> None:
     register_at(tracker, STILL)
     with Client(shared_node) as screen:
-        cloud = screen.hear(PointCloud2, '~/points')
-        bone = screen.hear(MarkerArray, '~/markers')
+        cloud = screen.receive(PointCloud2, '~/points')
+        bone = screen.receive(MarkerArray, '~/markers')
         status = screen.status(state='registered')
     assert cloud.header.frame_id == 'bone'
     columns = ros.cloud_to_arrays(cloud)
@@ -209,7 +209,7 @@ def test_the_points_are_shown_in_the_bone_frame(tracker: Tracker, shared_node: N
 
 
 def test_diagnostics_come_every_second(client: Client) -> None:
-    array = client.hear(DiagnosticArray, '/diagnostics', 10)
+    array = client.receive(DiagnosticArray, '/diagnostics', 10)
     assert array.status[0].name.startswith('/registration')
     assert array.header.stamp.sec > 0
 
@@ -218,10 +218,10 @@ def test_the_transform_is_resent(tracker: Tracker) -> None:
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
-        pytest.skip('tf2_msgs is neither installed nor built, see test/ros/tf2_msgs/build.py')
+        pytest.skip('tf2_msgs is neither installed nor built, see tools/build_messages.py')
     register_at(tracker, MOVED)
-    first = tracker.client.hear(TFMessage, '/tf', 10).transforms[0]
-    later = tracker.client.hear(
+    first = tracker.client.receive(TFMessage, '/tf', 10).transforms[0]
+    later = tracker.client.receive(
         TFMessage, '/tf', 10,
         lambda message: message.transforms[0].header.stamp != first.header.stamp)
     _, T, parent, child = ros.transform_from(later.transforms[0])
