@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every other room stands on: rigid motions, settings, results, samples, formatting."""
+"""Basic types and functions: rigid motions, settings, results, samples, formatting."""

@@ -1,217 +1,213 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Every setting, once: one dotted name here, in ``config/*.yaml``, ``--config`` and ROS parameters.
+All settings with their defaults, descriptions and ranges.
 
-You need none of this to run the system; the defaults are meant to do.
+A setting has the same dotted name in ``config/*.yaml``, ``--config`` and the ROS parameters.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
+import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.common.settings_schema import checked, declared, flattened
+from gsdf_registration.common.settings_schema import flatten, setting, validate
 
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """The bone."""
+    """The model of the bone."""
 
-    path: str = declared('', 'mesh (STL, PLY, OBJ, OFF), .gsdf field or point cloud with normals; '
-                         'a path or a package:// URI')
-    unit: str = declared('mm', 'unit of the lengths in the model file', choices=('mm', 'm'))
-    frame_id: str = declared('bone', 'name of the frame of the bone model', fixed=True)
-    voxel_size: float = declared(0.001, 'spacing of the signed-distance samples near the surface',
-                                 'm', 1e-4, 0.01)
+    path: str = setting('', 'mesh (STL, PLY, OBJ, OFF), field (.gsdf) or point cloud with normals; '
+                        'a path or a package:// URI')
+    unit: str = setting('mm', 'unit of length of the model file', choices=('mm', 'm'))
+    frame_id: str = setting('bone', 'frame of the bone model', fixed=True)
+    voxel_size: float = setting(0.001, 'spacing of the signed-distance samples near the surface',
+                                'm', 1e-4, 0.01)
 
 
 @dataclass(frozen=True)
 class ProbeConfig:
-    """Where points come from."""
+    """The source of the points."""
 
-    topics: list[str] = declared(['/probe/tip'], 'PointStamped topics of the probe tip')
-    frame_id: str = declared('', 'frame the points must be in, or that /tf leads to; empty: that '
-                             'of the first point')
+    topics: list[str] = setting(['/probe/tip'], 'PointStamped topics of the probe tip')
+    frame_id: str = setting('', 'frame of the points, which /tf may provide; empty: frame of the '
+                            'first point')
 
 
 @dataclass(frozen=True)
 class ReferenceConfig:
-    """The array fixed to the bone, if it moves."""
+    """The reference array that is fixed to a moving bone."""
 
-    topic: str = declared(
+    topic: str = setting(
         '',
         'PoseStamped topic of the reference array in the tracker frame; empty: none',
         fixed=True)
-    frame_id: str = declared('reference_array', 'name of the frame of the array, in which the bone '
-                             'is then registered', fixed=True)
+    frame_id: str = setting('reference_array', 'frame of the reference array, in which the bone is '
+                            'then registered', fixed=True)
 
 
 @dataclass(frozen=True)
 class CollectConfig:
-    """When points are kept."""
+    """The collection of points."""
 
-    automatic: bool = declared(True, 'collect from activation on, without a call of ~/collect')
-    max_points: int = declared(200_000, 'points kept at most; further ones are refused and counted',
-                               '', 100, 10_000_000)
+    automatic: bool = setting(True, 'start to collect on activation, without a call of ~/collect')
+    max_points: int = setting(200_000, 'maximum number of collected points; further points are '
+                              'rejected', '', 100, 10_000_000)
 
 
 @dataclass(frozen=True)
 class GateConfig:
-    """Which points are believed."""
+    """The tests that a point must pass."""
 
-    max_speed: float = declared(1.0, 'a point that needs a faster tip is refused', 'm/s', 0.0,
-                                100.0)
-    max_gap: float = declared(0.5, 'a longer silence starts a new stroke', 's', 0.0, 3600.0)
-    lift_ratio: float = declared(3.0, 'a tip so many times as fast as this hand mostly is has '
-                                 'lifted off, which starts a new stroke, as does its landing; '
-                                 '0: never', '', 0.0, 100.0)
-    min_distance: float = declared(0.0, 'a point this near to the last one is a duplicate', 'm',
-                                   0.0, 0.01)
-    max_age: float = declared(0.5, 'a point older than this when it arrives is refused', 's', 0.0,
-                              3600.0)
-    quality: float = declared(0.001,
-                              "a point whose tracker error exceeds this is refused; 0: don't look",
-                              'm', 0.0, 0.1)
+    max_speed: float = setting(1.0, 'reject a point that requires a faster tip', 'm/s', 0.0, 100.0)
+    max_gap: float = setting(0.5, 'start a new stroke after a longer pause', 's', 0.0, 3600.0)
+    lift_ratio: float = setting(3.0, 'start a new stroke when the tip moves this many times faster '
+                                'than its typical speed, which means a lift-off, and when it lands '
+                                'again; 0: never', '', 0.0, 100.0)
+    min_distance: float = setting(0.0, 'reject a point that is no farther from the previous one',
+                                  'm', 0.0, 0.01)
+    max_age: float = setting(0.5, 'reject a point that is older on arrival', 's', 0.0, 3600.0)
+    quality: float = setting(0.001, 'reject a point with a larger error reported by the tracker; '
+                             '0: accept all', 'm', 0.0, 0.1)
 
 
 @dataclass(frozen=True)
 class LiveConfig:
-    """The pose that is kept up while points come in."""
+    """The live pose, which is updated while points are collected."""
 
-    enabled: bool = declared(True, 'whether to keep a pose up while points come in')
-    max_rate: float = declared(100.0, 'the live pose is found and published this often at most',
-                               'Hz', 0.1, 1000.0)
-    max_points: int = declared(2000, 'points it is found from at most; of more, so many spread '
-                               'over all', '', 100, 1_000_000)
-    status_rate: float = declared(2.0, 'status and markers follow it this often at most', 'Hz',
-                                  0.1, 50.0)
+    enabled: bool = setting(True, 'compute a pose while points are collected')
+    max_rate: float = setting(100.0, 'maximum rate of the live pose', 'Hz', 0.1, 1000.0)
+    max_points: int = setting(2000, 'maximum number of points used for the live pose, sampled '
+                              'evenly from all points', '', 100, 1_000_000)
+    status_rate: float = setting(2.0, 'maximum rate of the live status and markers', 'Hz', 0.1,
+                                 50.0)
 
 
 @dataclass(frozen=True)
 class LandmarksConfig:
-    """Named model points that the operator touches for a first guess."""
+    """Named points of the model that are touched for an initial guess."""
 
-    names: list[str] = declared([], 'landmarks in the order they are touched')
-    positions: list[float] = declared([], 'their positions, x y z each, bone frame', 'm')
-    dwell: float = declared(0.5, 'the tip must have rested this long', 's', 0.05, 10.0)
-    radius: float = declared(0.002, 'a tip that stays within this radius rests', 'm', 1e-4, 0.02)
+    names: list[str] = setting([], 'landmarks in the order in which they are touched')
+    positions: list[float] = setting([], 'positions of the landmarks, x y z each, bone frame', 'm')
+    dwell: float = setting(0.5, 'time for which the tip must be stationary at a landmark', 's',
+                           0.05, 10.0)
+    radius: float = setting(0.002, 'a tip that stays within this radius is stationary', 'm', 1e-4,
+                            0.02)
 
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """The global search for a first guess."""
+    """The global search for an initial guess."""
 
-    rotations: int = declared(200, 'attitudes tried', '', 1, 100_000)
-    places: int = declared(100, 'places on the bone tried for each of them', '', 1, 10_000)
-    parts: int = declared(7, 'places round which parts of the points are also tried alone', '', 0,
-                          100)
-    reach: float = declared(0.02, 'a start this far off is pulled in', 'm', 1e-3, 0.5)
-    radius: float = declared(0.004, 'a point with few neighbours within this radius is stray', 'm',
-                             1e-4, 0.1)
-    spacing: float = declared(0.002,
-                              'points nearer to one another than this count as one in the search',
-                              'm', 1e-5, 0.1)
-    solutions: int = declared(6, 'poses that fit best which are solved to the end', '', 1, 100)
-    threads: int = declared(0, 'worker threads; 0: one a core', '', 0, 256)
+    rotations: int = setting(200, 'number of rotations to try', '', 1, 100_000)
+    places: int = setting(100, 'number of places on the bone to try for each rotation', '', 1,
+                          10_000)
+    parts: int = setting(7, 'number of places around which subsets of the points are also tried '
+                         'alone', '', 0, 100)
+    reach: float = setting(0.02, 'distance from which a start is pulled in', 'm', 1e-3, 0.5)
+    radius: float = setting(0.004, 'a point with few neighbours in this radius is isolated', 'm',
+                            1e-4, 0.1)
+    spacing: float = setting(0.002, 'voxel size for downsampling in the search', 'm', 1e-5, 0.1)
+    solutions: int = setting(6, 'number of best start poses that are refined', '', 1, 100)
+    threads: int = setting(0, 'number of threads; 0: one per core', '', 0, 256)
 
 
 @dataclass(frozen=True)
 class SolverConfig:
-    """The estimate of the pose from a first guess."""
+    """The estimate of the pose from an initial guess."""
 
-    method: str = declared('mixture', 'how the pose is estimated: mixture, or the published method',
-                           choices=('mixture', 'paper'))
-    max_iterations: int = declared(200, 'Gauss-Newton steps at most', '', 1, 100_000)
-    neighbours: int = declared(16,
-                               'mixture: points whose mean residual tells bone from interference',
-                               '', 2, 1000)
-    reach: float = declared(0.006, 'mixture: interference is reckoned with this far from the bone',
-                            'm', 1e-4, 0.1)
-    model_error: float = declared(0.0006, 'mixture: how far the model may be off over a stretch',
-                                  'm', 0.0, 0.01)
-    tolerance: float = declared(1e-6, 'mixture: a shorter step is not taken any more', 'm', 1e-15,
-                                1e-3)
-    cauchy_scale: float = declared(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
-                                   1e-5, 0.1)
-    discard_below: float = declared(
-        0.1, 'paper: a point of less weight is discarded (delta of Algorithm 1)', '', 0.0, 1.0)
-    weight_tolerance: float = declared(
-        1e-3, 'paper: IRLS ends when the weights move less, root mean square (epsilon of '
-        'Algorithm 1)', '', 1e-12, 1.0)
-    hold: int = declared(2, 'paper: the end must be met this many times in a row', '', 1, 100)
+    method: str = setting('mixture', 'estimator of the pose: mixture, or the published method',
+                          choices=('mixture', 'paper'))
+    max_iterations: int = setting(200, 'maximum number of Gauss-Newton steps', '', 1, 100_000)
+    neighbours: int = setting(16, 'mixture: number of points averaged to detect interference', '',
+                              2, 1000)
+    reach: float = setting(0.006, 'mixture: largest distance of interference from the bone', 'm',
+                           1e-4, 0.1)
+    model_error: float = setting(0.0006, 'mixture: standard deviation of the error of the model '
+                                 'surface that is assumed', 'm', 0.0, 0.01)
+    tolerance: float = setting(1e-6, 'mixture: stop at a shorter step', 'm', 1e-15, 1e-3)
+    cauchy_scale: float = setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
+                                  1e-5, 0.1)
+    discard_below: float = setting(0.1, 'paper: discard a point of smaller weight (delta of '
+                                   'Algorithm 1)', '', 0.0, 1.0)
+    weight_tolerance: float = setting(1e-3, 'paper: stop IRLS at a smaller RMS change of the '
+                                      'weights (epsilon of Algorithm 1)', '', 1e-12, 1.0)
+    hold: int = setting(2, 'paper: consecutive steps that must meet the stop criterion', '', 1,
+                        100)
 
 
 @dataclass(frozen=True)
 class LimitsConfig:
-    """When to refuse."""
+    """The acceptance criteria of a registration."""
 
-    min_points: int = declared(30, 'fewer points are no registration', '', 6, 100_000)
-    min_extent: float = declared(0.02, 'the points must span this much', 'm', 0.0, 1.0)
-    min_inliers: float = declared(0.5, 'share of the points on strokes that must lie on the bone',
-                                  '', 0.0, 1.0)
-    max_pattern: float = declared(
-        1.55, 'residuals that vary together along the strokes this many times more than noise '
-        'does are not of this bone', '', 1.0, 1000.0)
-    clear_inliers: float = declared(
-        0.93, 'with this share of the points on the bone a pattern is put down to the model', '',
+    min_points: int = setting(30, 'minimum number of points', '', 6, 100_000)
+    min_extent: float = setting(0.02, 'minimum extent of the points', 'm', 0.0, 1.0)
+    min_inliers: float = setting(0.5, 'minimum share of the points on strokes that lie on the bone',
+                                 '', 0.0, 1.0)
+    max_pattern: float = setting(
+        1.55, 'maximum ratio of the correlation of residuals along the strokes to that of '
+        'independent noise', '', 1.0, 1000.0)
+    clear_inliers: float = setting(
+        0.93, 'with this share of inliers correlated residuals are attributed to the model', '',
         0.0, 1.0)
-    max_sigma: float = declared(0.002, 'more noise than this is not this bone or not this tracker',
-                                'm', 1e-5, 0.1)
-    min_gap: float = declared(
-        24.0, 'natural logarithm of how much likelier the pose must be than any other; less is '
-        'ambiguous', '', 0.0, 1e6)
-    max_predicted_tre: float = declared(
-        0.002, 'predicted TRE (RMS) allowed at the targets; without any, on the bone within 100 mm '
-        'of what was touched', 'm', 1e-5, 1.0)
-    max_bone_tre: float = declared(
-        0.0013, 'predicted TRE (RMS) allowed over the whole bone, where no targets are named', 'm',
+    max_sigma: float = setting(0.002, 'maximum standard deviation of the noise along the surface '
+                               'normal', 'm', 1e-5, 0.1)
+    min_gap: float = setting(
+        24.0, 'minimum difference in log-likelihood between the pose and any alternative pose', '',
+        0.0, 1e6)
+    max_predicted_tre: float = setting(
+        0.002, 'maximum predicted TRE (RMS) at the targets; without targets, on the bone within '
+        '100 mm of the touched points', 'm', 1e-5, 1.0)
+    max_bone_tre: float = setting(
+        0.0013, 'maximum predicted TRE (RMS) over the whole bone, if there are no targets', 'm',
         1e-5, 1.0)
-    verification: float = declared(0.002, 'distance at a verification point that still passes', 'm',
-                                   1e-5, 0.1)
+    verification: float = setting(0.002, 'maximum distance of a verification point from the bone',
+                                  'm', 1e-5, 0.1)
 
 
 @dataclass(frozen=True)
 class TargetsConfig:
-    """Where on the bone the accuracy matters."""
+    """The points on the bone where the accuracy matters."""
 
-    names: list[str] = declared([], 'targets at which TRE is predicted')
-    positions: list[float] = declared([], 'their positions, x y z each, bone frame', 'm')
+    names: list[str] = setting([], 'targets at which the TRE is predicted')
+    positions: list[float] = setting([], 'positions of the targets, x y z each, bone frame', 'm')
 
 
 @dataclass(frozen=True)
 class GuidanceConfig:
-    """Where to touch next."""
+    """The proposal of the next places to touch."""
 
-    reach: float = declared(0.05, 'places on the bone this near to what was touched are proposed',
-                            'm', 0.01, 1.0)
-    near: list[str] = declared([], 'landmarks or targets near which places are proposed instead, '
-                               'such as the middle of what the wound exposes')
+    reach: float = setting(0.05, 'maximum distance of a proposed place from the touched points',
+                           'm', 0.01, 1.0)
+    near: list[str] = setting([], 'landmarks or targets near which places are proposed instead, '
+                              'such as one in the middle of the exposed area')
 
 
 @dataclass(frozen=True)
 class TfConfig:
     """The transform on /tf."""
 
-    rate: float = declared(10.0, 'the bone transform is re-sent this often; 0: never', 'Hz', 0.0,
-                           1000.0)
+    rate: float = setting(10.0, 'rate at which the bone transform is sent; 0: never', 'Hz', 0.0,
+                          1000.0)
 
 
 @dataclass(frozen=True)
 class SessionConfig:
-    """The file of ~/save and ~/load."""
+    """The session file of ~/save and ~/load."""
 
-    path: str = declared('registration_session.json', 'session file')
-    resume: bool = declared(False, 'take up at start what the journal beside session.path holds, '
-                            'as after a crash', fixed=True)
+    path: str = setting('registration_session.json', 'session file')
+    resume: bool = setting(False, 'restore at start the session from the journal beside '
+                           'session.path, as after a crash', fixed=True)
 
 
 @dataclass(frozen=True)
 class Config:
-    """All settings, a section each; SI units throughout."""
+    """All settings in SI units, one section per field."""
 
     model: ModelConfig = field(default_factory=ModelConfig)
     probe: ProbeConfig = field(default_factory=ProbeConfig)
@@ -231,13 +227,13 @@ class Config:
     @classmethod
     def from_flat(cls, values: Mapping[str, Any]) -> Config:
         """
-        Return the defaults changed by dotted names, as ROS parameters give them.
+        Return the defaults with the values of dotted names, such as ROS parameters.
 
         Raises
         ------
         InputError
-            At an unknown name, a wrong type, a value out of range, or positions that do not match
-            their names.
+            If a name is unknown, a value has the wrong type or is out of range, or the positions do
+            not match their names.
 
         """
         return cls().replaced(values)
@@ -245,10 +241,10 @@ class Config:
     @classmethod
     def from_nested(cls, values: Mapping[str, Any]) -> Config:
         """
-        Return a config from nested mappings, also in the shape of a ROS parameter file.
+        Return the defaults with the values of nested mappings, such as a ROS parameter file.
 
         A node name (``registration:`` or ``/**:``) and ``ros__parameters:`` above the sections are
-        stepped over, so one file serves the node and the command line.
+        skipped, so that the node and the command line can read the same file.
 
         Raises
         ------
@@ -262,7 +258,7 @@ class Config:
                                                  and 'ros__parameters' in inner):
                 break
             values = inner
-        return cls.from_flat(dict(flattened(values)))
+        return cls.from_flat(dict(flatten(values)))
 
     def replaced(self, values: Mapping[str, Any]) -> Config:
         """Return a copy with the dotted names in ``values`` changed; raises as `from_flat`."""
@@ -270,41 +266,45 @@ class Config:
         changes: dict[str, dict[str, Any]] = {}
         for name, value in values.items():
             if name not in known:
-                alike = difflib.get_close_matches(name, known, 1)
-                raise InputError(f'unknown parameter "{name}"; '
-                                 + (f'did you mean {alike[0]}? All' if alike else 'known ones')
-                                 + ' are listed in config/registration.yaml')
+                similar = difflib.get_close_matches(name, known, 1)
+                hint = f'did you mean {similar[0]}? ' if similar else ''
+                raise InputError(f'unknown parameter "{name}"; {hint}'
+                                 'config/registration.yaml lists all parameters')
             section, key = name.split('.')
-            changes.setdefault(section, {})[key] = checked(name, value, known[name])
+            changes.setdefault(section, {})[key] = validate(name, value, known[name])
         config = dataclasses.replace(self, **{
             section: dataclasses.replace(getattr(self, section), **keys)
             for section, keys in changes.items()})
-        for section in ('landmarks', 'targets'):
-            points = getattr(config, section)
-            if len(points.positions) != 3 * len(points.names):
-                raise InputError(f'{section}.positions must hold x y z for each of {section}.names:'
-                                 f' {3 * len(points.names)} numbers, not {len(points.positions)}')
-            if len(set(points.names)) < len(points.names):
-                raise InputError(f'{section}.names holds a name twice; name each by its own')
-        for name in config.guidance.near:
-            if name not in config.landmarks.names + config.targets.names:
-                raise InputError(f'guidance.near names "{name}", which is neither a landmark nor a '
-                                 'target; add it to landmarks.names or targets.names')
+        config._check_named_points()
         return config
+
+    def _check_named_points(self) -> None:
+        """Check that landmarks and targets have unique names and positions, and guidance.near."""
+        for section in ('landmarks', 'targets'):
+            points = getattr(self, section)
+            if len(points.positions) != 3 * len(points.names):
+                raise InputError(f'{section}.positions must have x, y, z for each of '
+                                 f'{section}.names: {3 * len(points.names)} numbers, not '
+                                 f'{len(points.positions)}')
+            if len(set(points.names)) < len(points.names):
+                raise InputError(f'{section}.names has a duplicate name; use unique names')
+        for name in self.guidance.near:
+            if name not in self.landmarks.names + self.targets.names:
+                raise InputError(f'guidance.near contains "{name}", which is neither a landmark '
+                                 'nor a target; add it to landmarks.names or targets.names')
 
     @property
     def points_frame(self) -> str:
-        """Frame in which a session holds its points; empty: that of the first one."""
+        """The frame in which a session stores points; empty: the frame of the first point."""
         return self.reference.frame_id if self.reference.topic else self.probe.frame_id
 
     def flat(self) -> dict[str, Any]:
         """Return all settings by dotted name."""
-        return {name: getattr(getattr(self, name.split('.')[0]), name.split('.')[1])
-                for name, _ in settings()}
+        return {name: operator.attrgetter(name)(self) for name, _ in settings()}
 
 
 def settings() -> Iterator[tuple[str, dataclasses.Field[Any]]]:
-    """Yield dotted name and field of every setting; metadata: description, unit, low, high..."""
+    """Yield the dotted name and the field of every setting; see `settings_schema.setting`."""
     for section in dataclasses.fields(Config):
-        for setting in dataclasses.fields(section.default_factory):  # type: ignore[arg-type]
-            yield f'{section.name}.{setting.name}', setting
+        for declared in dataclasses.fields(section.default_factory):  # type: ignore[arg-type]
+            yield f'{section.name}.{declared.name}', declared

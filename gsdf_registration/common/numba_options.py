@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-How kernels are compiled: cached on disk, without the interpreter lock.
+The numba decorators of all kernels.
 
-Each decorator adds one permission.  Division by zero yields inf or NaN as in numpy; without that
-check, arrays pass uncounted, which saves a fifth of the time.
+All kernels are cached on disk and release the GIL. Each decorator allows the compiler one thing
+more than the one before. Division by zero yields inf or NaN as in NumPy: without the check for it
+numba need not count references to arrays, which saves a fifth of the time.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ import numba as nb
 
 _options: dict[str, Any] = {'nogil': True, 'cache': True, 'error_model': 'numpy'}
 
-# IEEE arithmetic, as written
+# IEEE arithmetic in the order of the source
 compiled = nb.njit(**_options)
 inlined = nb.njit(forceinline=True, **_options)
-# products may be fused with sums (FMA), which loses no precision; the order stays as written
+# a product and a sum may be fused (FMA); the order of operations stays that of the source
 kernel = nb.njit(fastmath={'contract'}, **_options)
 inlined_kernel = nb.njit(fastmath={'contract'}, forceinline=True, **_options)
-# sums may be reordered, so that loops vectorize; the order is the same in every run
+# sums may be reordered so that loops vectorize; the order is the same in every call
 reordered = nb.njit(fastmath={'contract', 'reassoc', 'nsz', 'nnan', 'ninf', 'arcp'},
                     forceinline=True, **_options)
-# all of that, on values known to be finite
+# all optimizations, for values that are known to be finite
 vectorized = nb.njit(fastmath=True, **_options)

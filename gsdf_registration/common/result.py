@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a registration says: the pose, how good it is, or why there is none."""
+"""The result of a registration: the pose with its accuracy, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gsdf_registration.common.formatting import format_error
 from gsdf_registration.common.rigid import Array, inverse
 
-ON_BONE = 0.5       # a point of more weight lies on the bone
+INLIER_WEIGHT = 0.5       # a point with a larger weight is an inlier: it lies on the bone
 
 
 class Reason(str, Enum):
-    """Why a registration ended; everything but `CONVERGED` is a refusal."""
+    """The outcome of a registration; every value but `CONVERGED` is a refusal."""
 
     CONVERGED = 'converged'
     TOO_FEW_POINTS = 'too_few_points'
@@ -32,69 +33,73 @@ class Reason(str, Enum):
     NO_MODEL = 'no_model'
 
     def __str__(self) -> str:
-        """Return the lower-case word used in JSON, logs and status."""
+        """Return the lower-case name used in JSON, logs and status."""
         return self.value
 
 
 @dataclass(frozen=True)
-class Touch:
+class NextTouch:
     """
-    A patch of bone worth touching, because it would hold the pose, or tell it from another.
+    A place on the bone to touch next.
 
     position, normal : (3,) float, m, bone frame
-    predicted_tre : float, m, RMS at the targets once a short stroke was drawn over it; None: it
-        tells which of several poses is right
-    present_tre : float, m, RMS at the targets now
+    predicted_tre : float, m, RMS at the targets after a short stroke at this place; None if the
+        place distinguishes between ambiguous poses instead
+    current_tre : float, m, RMS at the targets now
     """
 
     position: Array
     normal: Array
     predicted_tre: float | None = None
-    present_tre: float | None = None
+    current_tre: float | None = None
 
     @property
-    def promise(self) -> str:
-        """What touching there gains, in words."""
-        if self.predicted_tre is None or self.present_tre is None:
+    def expected_gain(self) -> str:
+        """The gain of a touch at this place, as part of a sentence."""
+        if self.predicted_tre is None or self.current_tre is None:
             return 'it decides which of the poses is right'
-        return (f'the expected error falls from {1e3 * self.present_tre:.1f} to '
-                f'{1e3 * self.predicted_tre:.1f} mm')
+        return (f'the expected error falls from {format_error(self.current_tre)} to '
+                f'{format_error(self.predicted_tre)}')
 
     @property
     def label(self) -> str:
-        """The same in a word, to stand beside the place."""
-        return 'decides' if self.predicted_tre is None else f'{1e3 * self.predicted_tre:.1f} mm'
+        """The gain in one or two words, for a label beside the place."""
+        return 'decides' if self.predicted_tre is None else format_error(self.predicted_tre)
 
 
 class Refusal(Exception):
     """
-    A plain sentence instead of an answer: what is wrong, where, and what to do.
+    A function cannot give a valid result; the message says what is wrong and what to do.
 
-    Raised at the door of every function that cannot give a true answer; the node and the command
-    line turn it into their own form of "no".
+    The node reports it in the response of a service, the command line as an error.
 
-    ``touch``: where a touch would help, as in "touch the bone near X"; empty if none would.
-    ``touches``: that place and others on the bone, best first.
+    Parameters
+    ----------
+    reason : Reason
+    message : str, one sentence
+    advice : str, where a touch would help, as in "touch the bone near X"; empty if none would
+    next_touches : of NextTouch, places on the bone where a touch would help, best first
+
     """
 
-    def __init__(self, reason: Reason, message: str, touch: str = '',
-                 touches: Sequence[Touch] = ()) -> None:
+    def __init__(self, reason: Reason, message: str, advice: str = '',
+                 next_touches: Sequence[NextTouch] = ()) -> None:
         super().__init__(message)
         self.reason = reason
         self.message = message
-        self.touch = touch
-        self.touches = tuple(touches)
+        self.advice = advice
+        self.next_touches = tuple(next_touches)
 
 
 class InputError(Refusal):
-    """Something given cannot be read or used as it is; reason `bad_input` unless said otherwise."""
+    """An input cannot be read or is not valid; the reason is `bad_input` by default."""
 
     def __init__(self, message: str, reason: Reason = Reason.BAD_INPUT) -> None:
         super().__init__(reason, message)
 
 
 class Cancelled(Refusal):
-    """The work was ended by who asked for it."""
+    """The caller cancelled the registration."""
 
     def __init__(self) -> None:
         super().__init__(Reason.NOT_CONVERGED,
@@ -102,7 +107,7 @@ class Cancelled(Refusal):
 
 
 def as_numbers(values: ArrayLike, what: str) -> Array:
-    """Return ``values`` as a float64 array, or raise an InputError that names ``what`` they are."""
+    """Return ``values`` as a float64 array, or raise an InputError that names them ``what``."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -111,7 +116,7 @@ def as_numbers(values: ArrayLike, what: str) -> Array:
 
 @dataclass(frozen=True)
 class Iteration:
-    """One Gauss-Newton step of the history: cost (m^2), step (rad, m) and points in use."""
+    """One Gauss-Newton step: cost (m^2), step (rad, m) and number of inliers."""
 
     cost: float
     rotation_step: float
@@ -121,12 +126,12 @@ class Iteration:
 
 @dataclass(frozen=True)
 class WeakestDirection:
-    """The rigid motion the data hold least: a screw axis in the bone frame, in words too."""
+    """The rigid motion that the points constrain least, as a screw in the bone frame."""
 
     axis: Array                 # (3,) unit
     point: Array                # (3,) m, on the axis
     pitch_m_per_rad: float      # translation along the axis per radian; inf: pure translation
-    rotation_sigma_rad: float   # standard deviation of the motion
+    rotation_sigma_rad: float   # standard deviation of the rotation and of the translation
     translation_sigma_m: float
     sentence: str
 
@@ -136,25 +141,26 @@ class RegistrationResult:
     """
     The outcome of `register`.
 
-    ``T_tracker_bone`` is None unless `success`.  Lengths in metres, angles in radians; covariance
-    in REP-103 order (x y z rx ry rz) of the bone's pose, fixed axes of the tracker frame, rotation
-    about the bone's origin.
+    ``T_tracker_bone`` is None unless `success`. Lengths are in metres, angles in radians. The
+    covariance is that of the pose of the bone, in the order x y z rx ry rz (REP-103), about the
+    fixed axes of the tracker frame and the origin of the bone.
     """
 
     reason: Reason
     message: str
     T_tracker_bone: Array | None = None         # (4, 4)
     covariance: Array | None = None             # (6, 6)
-    received: int = 0                           # points given
-    used: int = 0                               # points given to the solver
-    inliers: int = 0                            # points that bear the pose
+    received: int = 0                           # points passed in
+    used: int = 0                               # points passed to the solver
+    inliers: int = 0                            # points on the bone
     # estimated noise of a point along the surface normal
     sigma_m: float | None = None
-    # of the inliers; not the accuracy (Fitzpatrick 2009)
+    # of the inliers; this is not the accuracy (Fitzpatrick 2009)
     residual_rms_m: float | None = None
     predicted_tre_m: dict[str, float] = field(default_factory=dict)     # targets, rms, max
     weakest_direction: WeakestDirection | None = None
-    runner_up_ratio: float | None = None        # cost of the next-best basin over ours
+    # cost of the best alternative pose divided by the cost of this pose
+    runner_up_ratio: float | None = None
     iterations: int = 0
     timing_s: dict[str, float] = field(default_factory=dict)
     residuals_m: Array | None = None            # (used,) signed distances at the pose
@@ -163,16 +169,16 @@ class RegistrationResult:
 
     @property
     def success(self) -> bool:
-        """Whether there is a pose to be used."""
+        """Whether the registration converged to an accepted pose."""
         return self.reason is Reason.CONVERGED
 
     @property
     def T_bone_tracker(self) -> Array | None:
-        """The inverse of `T_tracker_bone`, what the solver estimates."""
+        """The inverse of `T_tracker_bone`."""
         return None if self.T_tracker_bone is None else inverse(self.T_tracker_bone)
 
     @classmethod
     def refused(cls, reason: Reason, message: str, **known: Any) -> RegistrationResult:
-        """Return a refusal; ``known`` is whatever else is true of it, never a pose."""
+        """Return a result without a pose; ``known`` sets its other fields."""
         assert reason is not Reason.CONVERGED and 'T_tracker_bone' not in known
         return cls(reason=reason, message=message, **known)

@@ -2,8 +2,8 @@
 """
 Rigid motions as 4x4 matrices.
 
-``T_a_b`` maps coordinates in frame b to coordinates in frame a, ``x_a = T_a_b @ x_b``, so a chain
-reads ``T_a_c = T_a_b @ T_b_c``.  A twist is ``[rx, ry, rz, tx, ty, tz]``: radians, then the unit of
+``T_a_b`` maps coordinates in frame b to coordinates in frame a, ``x_a = T_a_b @ x_b``, so that
+``T_a_c = T_a_b @ T_b_c``. A twist is ``[rx, ry, rz, tx, ty, tz]``: radians, then the unit of
 length in use.
 """
 
@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-# m; trackers mark a missing value with a huge number as often as with NaN (NDI: -3.7e28)
-FARTHEST = 1e6
+# m; trackers mark a missing value with NaN or with a huge number (NDI: -3.7e28)
+MAX_COORDINATE = 1e6
 
 
 def skew(v: ArrayLike) -> Array:
@@ -159,7 +159,7 @@ def transform(T: ArrayLike, points: ArrayLike) -> Array:
 
 
 def displacement(T_a: ArrayLike, T_b: ArrayLike, points: ArrayLike) -> Array:
-    """Return how far apart (n,) two motions lay each of ``points`` (n, 3)."""
+    """Return the distance (n,) between the images of ``points`` (n, 3) under two motions."""
     return np.asarray(np.linalg.norm(transform(T_a, points) - transform(T_b, points), axis=1))
 
 
@@ -172,7 +172,7 @@ def orthonormalized(T: ArrayLike) -> Array:
 
 
 def is_rigid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
-    """Tell whether ``T`` is a finite (4, 4) proper rigid motion within ``tolerance``."""
+    """Return whether ``T`` is a finite (4, 4) proper rigid motion within ``tolerance``."""
     T = np.asarray(T, dtype=np.float64)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         return False
@@ -185,12 +185,12 @@ def fit_points(a: ArrayLike, b: ArrayLike) -> Array:
     """
     Return the rigid ``T_a_b`` that best maps points ``b`` onto ``a`` in the least-squares sense.
 
-    Kabsch/Umeyama (Umeyama 1991, eq. 40-42) with scale fixed to one and reflections excluded, so a
-    mirrored set gives its best proper rotation.
+    Kabsch/Umeyama (Umeyama 1991, eq. 40-42) with unit scale and without reflections: a mirrored set
+    yields the best proper rotation.
 
     Parameters
     ----------
-    a, b : (n, 3) float, n >= 3, row i of one corresponds to row i of the other
+    a, b : (n, 3) float, n >= 3, corresponding row by row
 
     Returns
     -------
@@ -206,7 +206,7 @@ def fit_points(a: ArrayLike, b: ArrayLike) -> Array:
     b = np.asarray(b, dtype=np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 3 or len(a) < 3:
         raise ValueError(
-            f'need two (n, 3) arrays of one shape, n >= 3; got {a.shape} and {b.shape}')
+            f'need two (n, 3) arrays of the same shape, n >= 3; got {a.shape} and {b.shape}')
     a0, b0 = a.mean(axis=0), b.mean(axis=0)
     U, _, Vt = np.linalg.svd((a - a0).T @ (b - b0))
     D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
@@ -228,7 +228,7 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
 
     """
     R = np.asarray(R, dtype=np.float64)
-    # Shepperd's method as one symmetric matrix: its rows are 4 q_i q; the longest never cancels.
+    # Shepperd's method as a symmetric matrix with the rows 4 q_i q; the longest row is accurate
     d = np.diag(R)
     t = d.sum()
     s = R + R.T
@@ -244,7 +244,7 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
 
 def rotation_from_quaternion(q: ArrayLike) -> Array:
     """
-    Return the rotation of a quaternion ``x, y, z, w``; it is normalized first.
+    Return the rotation of a quaternion ``x, y, z, w``, which is normalized first.
 
     Raises
     ------

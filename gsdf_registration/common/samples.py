@@ -1,66 +1,84 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a probe delivers: a sample, why it may be rejected, and the points that are kept."""
+"""A sample of the probe tip, the causes for which it can be rejected, and the collected points."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
 
-# This many samples in a row that agree outweigh those before: a single reading may be wrong
+Position = tuple[float, float, float]
+
+# This many consecutive samples that agree override those before them. One sample may be an outlier.
 AGREEING = 3
 
 
 class Sample(NamedTuple):
-    """A position of the tip as it comes in."""
+    """One position of the probe tip as received."""
 
-    stamp: float                    # s
-    position: Sequence[float]       # (3,) m
+    stamp: float                    # s, clock of the sender
+    position: Position              # m, in `frame_id`; plain floats
     frame_id: str
-    source: str
-    arrival: float | None = None    # s, our clock
-    quality: float | None = None    # m
-    stroke: int = 0                 # number that a recording gives it
+    topic: str                      # topic, tool or file it came from
+    arrival: float | None = None    # s, local clock
+    quality: float | None = None    # m, error estimate of the tracker
+    stroke: int = 0                 # stroke number in a recording, 0 if there is none
 
 
 class Rejection(str, Enum):
-    """Why a point was not kept."""
+    """The cause for which a sample was rejected."""
 
     NOT_FINITE = 'not_finite'
     WRONG_FRAME = 'wrong_frame'
-    NO_REFERENCE = 'no_reference'   # no pose of the reference array at its stamp
+    NO_REFERENCE = 'no_reference'   # no pose of the reference array at this stamp
     NOT_MONOTONIC = 'not_monotonic'
     STALE = 'stale'
     POOR_QUALITY = 'poor_quality'
     NOT_COLLECTING = 'not_collecting'
-    TOUCHED = 'touched'     # of a tip resting for a landmark or a verification: not for the fit
+    TOUCHED = 'touched'     # stationary tip at a landmark or verification point, not for the fit
     DUPLICATE = 'duplicate'
     TOO_FAST = 'too_fast'
     FULL = 'full'
 
     def __str__(self) -> str:
-        """Return the lower-case word used in JSON, logs and status."""
+        """Return the lower-case name used in JSON, logs and status."""
         return self.value
 
     @property
-    def is_of_sample(self) -> bool:
-        """Whether the sample itself is at fault: good for nothing, not even a landmark."""
-        return self in _OF_SAMPLE
+    def invalidates_sample(self) -> bool:
+        """Whether the sample itself is invalid: it is not used for landmarks either."""
+        return self in _INVALID
 
 
-_OF_SAMPLE = frozenset({Rejection.NOT_FINITE, Rejection.WRONG_FRAME, Rejection.NO_REFERENCE,
-                        Rejection.NOT_MONOTONIC, Rejection.STALE, Rejection.POOR_QUALITY})
-Position = tuple[float, float, float]
+_INVALID = frozenset({Rejection.NOT_FINITE, Rejection.WRONG_FRAME, Rejection.NO_REFERENCE,
+                      Rejection.NOT_MONOTONIC, Rejection.STALE, Rejection.POOR_QUALITY})
+
+
+class SampleSink(Protocol):
+    """Receives the samples of a stream after they were transformed into the session frame."""
+
+    @property
+    def config(self) -> Config:
+        """Settings in force."""
+
+    def add(self, sample: Sample) -> Rejection | None:
+        """Store a sample; return the cause if it is rejected."""
+
+    def reject(self, sample: Sample, cause: Rejection) -> None:
+        """Count a sample that could not be transformed or is out of order."""
+
+    def restart(self, reason: str) -> None:
+        """Discard the collected points because the clock of the samples restarted."""
 
 
 class Points(NamedTuple):
-    """Collected points, row by row in the order they came."""
+    """Collected points, one row each, in the order received."""
 
-    positions: Array        # (n, 3) m, frame of the session
-    stamps: Array           # (n,) s, clock of their source
-    strokes: np.ndarray     # (n,) int32 from 1, a number missing after an undo; rising in a source
-    sources: np.ndarray     # (n,) int32
+    positions: Array        # (n, 3) m, session frame
+    stamps: Array           # (n,) s, clock of the sender
+    strokes: np.ndarray     # (n,) int32 from 1, with gaps after an undo, rising within a source
+    sources: np.ndarray     # (n,) int32, index of the topic

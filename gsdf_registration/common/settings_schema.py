@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a setting is declared in `config`, and how a value for it is checked."""
+"""Declare a setting with its description and range, and validate a value for it."""
 
 from __future__ import annotations
 
@@ -12,58 +12,83 @@ from typing import Any
 from gsdf_registration.common.result import InputError
 
 
-def declared(default: Any, description: str, unit: str = '', low: float | None = None,
-             high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False) -> Any:
-    """Declare a field with what a ROS parameter needs; ``fixed``: read at configuring."""
-    about = {'description': description, 'unit': unit, 'low': low, 'high': high,
-             'choices': choices, 'fixed': fixed}
+def setting(default: Any, description: str, unit: str = '', low: float | None = None,
+            high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False) -> Any:
+    """
+    Return a dataclass field for a setting.
+
+    Parameters
+    ----------
+    default : bool, int, float, str or list
+    description : str, shown in config/registration.yaml and as the ROS parameter description
+    unit : str
+    low, high : float, both ends of the valid range are included
+    choices : of str, the valid values
+    fixed : bool, whether a change takes effect only when the node is configured again
+
+    """
+    metadata = {'description': description, 'unit': unit, 'low': low, 'high': high,
+                'choices': choices, 'fixed': fixed}
     if isinstance(default, list):
-        return field(default_factory=lambda: list(default), metadata=about)
-    return field(default=default, metadata=about)
+        return field(default_factory=lambda: list(default), metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
-def default_of(setting: dataclasses.Field[Any]) -> Any:
-    """Return the default value of a field made by `declared`."""
-    factory = setting.default_factory
-    return setting.default if factory is dataclasses.MISSING else factory()
+def default_value(declared: dataclasses.Field[Any]) -> Any:
+    """Return the default value of a field made by `setting`."""
+    factory = declared.default_factory
+    return declared.default if factory is dataclasses.MISSING else factory()
 
 
-def flattened(values: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested mappings by dotted name."""
+def flatten(values: Mapping[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the dotted name and the value of every leaf of nested mappings."""
     for key, value in values.items():
         if isinstance(value, Mapping):
-            yield from flattened(value, f'{prefix}{key}.')
+            yield from flatten(value, f'{prefix}{key}.')
         else:
             yield f'{prefix}{key}', value
 
 
-def _fits(value: Any, kind: type) -> bool:
-    """Tell whether a value can stand for a bool, str, int or float; numbers must be finite."""
+def validate(name: str, value: Any, declared: dataclasses.Field[Any]) -> Any:
+    """
+    Return the value converted to the type of the setting.
+
+    Raises
+    ------
+    InputError
+        If the type is wrong, a number is not finite or out of range, or a choice is unknown.
+
+    """
+    default = default_value(declared)
+    if isinstance(default, list):
+        return _validate_list(name, value)
+    kind = type(default)
+    if not _has_type(value, kind):
+        wanted = {bool: 'a bool', str: 'a str', int: 'a whole number',
+                  float: 'a finite number'}[kind]
+        raise InputError(f'{name} must be {wanted}, not {value!r}')
+    low, high, unit, choices = (declared.metadata[key] for key in ('low', 'high', 'unit',
+                                                                   'choices'))
+    if low is not None and not low <= value <= high:
+        raise InputError(f'{name} must lie in [{low:g}, {high:g}] {unit}'.rstrip()
+                         + f', not {value:g}')
+    if choices and value not in choices:
+        raise InputError(f'{name} must be one of {", ".join(choices)}, not "{value}"')
+    return kind(value)
+
+
+def _validate_list(name: str, value: Any) -> list[Any]:
+    """Return a list of float for positions, a list of str for all other names."""
+    kind = float if name.endswith('positions') else str
+    is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
+    if not is_list or not all(_has_type(item, kind) for item in value):
+        raise InputError(f'{name} must be a list of {kind.__name__}, not {value!r}')
+    return [kind(item) for item in value]
+
+
+def _has_type(value: Any, kind: type) -> bool:
+    """Return whether a value can be converted to ``kind`` without loss; NaN and inf cannot."""
     if kind in (bool, str):
         return isinstance(value, kind)
     return (isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
             and (kind is float or value == int(value)))
-
-
-def checked(name: str, value: Any, setting: dataclasses.Field[Any]) -> Any:
-    """Return the value in its declared type, or raise InputError."""
-    about = setting.metadata
-    default = default_of(setting)
-    if isinstance(default, list):
-        item = float if name.endswith('positions') else str
-        is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
-        if not is_list or not all(_fits(v, item) for v in value):
-            raise InputError(f'{name} must be a list of {item.__name__}, not {value!r}')
-        return [item(v) for v in value]
-    kind = type(default)
-    if not _fits(value, kind):
-        wanted = {bool: 'a bool', str: 'a str', int: 'a whole number',
-                  float: 'a finite number'}[kind]
-        raise InputError(f'{name} must be {wanted}, not {value!r}')
-    low, high = about['low'], about['high']
-    if low is not None and not low <= value <= high:
-        raise InputError(f'{name} must lie in [{low:g}, {high:g}] {about["unit"]}'.rstrip()
-                         + f', not {value:g}')
-    if about['choices'] and value not in about['choices']:
-        raise InputError(f'{name} must be one of {", ".join(about["choices"])}, not "{value}"')
-    return kind(value)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The settings, and the files that list them.
+Test the settings and the settings files.
 
-``python test/test_config.py`` writes config/registration.yaml anew after a setting was changed.
+``python test/common/test_config.py`` writes config/registration.yaml after a change of a setting.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from hypothesis import strategies as st
 
 from gsdf_registration.common.config import Config, settings
 from gsdf_registration.common.result import InputError, Reason
-from gsdf_registration.common.settings_schema import default_of
+from gsdf_registration.common.settings_schema import default_value
 
 FOLDER = Path(__file__).parents[2] / 'config'
 HEAD = """\
 # SPDX-License-Identifier: Apache-2.0
-# Every setting with its default. You need none of this to run: give a file of what you change,
+# All settings with their defaults. A file of your own needs only the settings that you change:
 #   gsdf register ... --config my.yaml
 #   ros2 launch gsdf_registration registration.launch.py config:=my.yaml
 /**:
@@ -33,14 +33,14 @@ HEAD = """\
 
 
 def documented_settings() -> str:
-    """Return what config/registration.yaml must be."""
+    """Return the expected content of config/registration.yaml."""
     text, section = HEAD, ''
-    for name, setting in settings():
-        about = setting.metadata
+    for name, declared in settings():
+        about = declared.metadata
         if section != name.split('.')[0]:
             section = name.split('.')[0]
             text += f'    {section}:\n'
-        value = yaml.safe_dump(default_of(setting), default_flow_style=True,
+        value = yaml.safe_dump(default_value(declared), default_flow_style=True,
                                width=1000).split('\n')[0]
         unit = f' [{about["unit"]}]' if about['unit'] else ''
         choices = f' ({", ".join(about["choices"])})' if about['choices'] else ''
@@ -49,13 +49,13 @@ def documented_settings() -> str:
     return text
 
 
-def test_the_settings_file_lists_every_setting_with_its_default_and_description() -> None:
+def test_settings_file_lists_all_settings_with_default_and_description() -> None:
     assert (FOLDER / 'registration.yaml').read_text() == documented_settings(), (
-        'run python test/test_config.py to write it anew')
+        'run python test/common/test_config.py to write the file')
 
 
 @pytest.mark.parametrize('file', sorted(FOLDER.glob('*.yaml')), ids=lambda file: file.stem)
-def test_shipped_files_load(file: Path) -> None:
+def test_loads_installed_settings_files(file: Path) -> None:
     config = Config.from_nested(yaml.safe_load(file.read_text()))
     if file.stem == 'registration':
         assert config == Config()
@@ -64,23 +64,23 @@ def test_shipped_files_load(file: Path) -> None:
 
 
 @pytest.mark.parametrize('file', sorted(FOLDER.glob('*.yaml')), ids=lambda file: file.stem)
-def test_numbers_in_shipped_files_have_the_type_ros_asks_for(file: Path) -> None:
+def test_values_in_installed_files_have_the_ros_parameter_type(file: Path) -> None:
     defaults = Config().flat()
     for section, keys in yaml.safe_load(file.read_text())['/**']['ros__parameters'].items():
         for key, value in keys.items():
             assert type(value) is type(defaults[f'{section}.{key}']), f'{section}.{key}: {value!r}'
 
 
-def test_every_setting_tells_what_it_is() -> None:
-    for name, setting in settings():
-        about = setting.metadata
+def test_every_setting_has_a_description_and_a_valid_default() -> None:
+    for name, declared in settings():
+        about = declared.metadata
         assert about['description'], name
         assert (about['low'] is None) == (about['high'] is None), name
-        if type(default_of(setting)) in (int, float):
-            assert about['low'] <= default_of(setting) <= about['high'], name
+        if type(default_value(declared)) in (int, float):
+            assert about['low'] <= default_value(declared) <= about['high'], name
 
 
-def test_flat_and_back() -> None:
+def test_flat_and_from_flat_are_inverse() -> None:
     changed = Config.from_flat({'gate.max_speed': 0.5, 'probe.topics': ['/a', '/b']})
     assert changed.gate.max_speed == 0.5
     assert changed.probe.topics == ['/a', '/b']
@@ -94,14 +94,14 @@ def test_flat_and_back() -> None:
     lambda sections: {'/**': {'ros__parameters': sections}},
     lambda sections: {'registration': {'ros__parameters': sections}},
 ])
-def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
+def test_from_nested_skips_node_name_and_ros_parameters(wrap: Any) -> None:
     nested = wrap({'gate': {'max_speed': 0.5}})
     assert Config.from_nested(nested) == Config.from_flat({'gate.max_speed': 0.5})
 
 
 @pytest.mark.parametrize(('values', 'sentence'), [
     ({'gate.max_sped': 0.5}, 'unknown parameter "gate.max_sped"; did you mean gate.max_speed?'),
-    ({'nothing': 0.5}, 'unknown parameter "nothing"; known ones are listed'),
+    ({'nothing': 0.5}, 'unknown parameter "nothing"; config/registration.yaml lists'),
     ({'gate': 0.5}, 'unknown parameter "gate"'),
     ({'gate.max_speed': 'fast'}, 'gate.max_speed must be a finite number'),
     ({'gate.max_speed': True}, 'gate.max_speed must be a finite number'),
@@ -123,16 +123,15 @@ def test_a_parameter_file_may_carry_a_node_name(wrap: Any) -> None:
      'must be a list of float'),
     ({'landmarks.names': ['a']}, 'landmarks.names: 3 numbers, not 0'),
     ({'targets.positions': [0.0, 0.0]}, 'targets.names: 0 numbers, not 2'),
-    ({'targets.names': ['a', 'a'], 'targets.positions': 6 * [0.0]}, 'holds a name twice'),
+    ({'targets.names': ['a', 'a'], 'targets.positions': 6 * [0.0]}, 'has a duplicate name'),
 ])
-def test_what_cannot_be_used_is_refused_in_a_sentence(values: dict[str, Any],
-                                                      sentence: str) -> None:
+def test_rejects_invalid_values_with_a_message(values: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence) as refusal:
         Config.from_flat(values)
     assert refusal.value.reason is Reason.BAD_INPUT
 
 
-def test_whole_numbers_serve_where_a_fraction_may_stand() -> None:
+def test_converts_whole_numbers_to_the_declared_type() -> None:
     config = Config.from_flat({'gate.max_speed': 2, 'limits.min_points': 50.0})
     assert type(config.gate.max_speed) is float
     assert type(config.limits.min_points) is int
@@ -140,7 +139,7 @@ def test_whole_numbers_serve_where_a_fraction_may_stand() -> None:
 
 @hypothesis_settings(deadline=None, max_examples=50)
 @given(st.floats(1e-4, 0.01), st.integers(6, 100_000), st.lists(st.text(max_size=5), max_size=3))
-def test_a_file_gives_back_what_was_written(voxel: float, points: int, topics: list[str]) -> None:
+def test_values_survive_a_yaml_file(voxel: float, points: int, topics: list[str]) -> None:
     config = Config.from_flat({'model.voxel_size': voxel, 'limits.min_points': points,
                                'probe.topics': topics})
     nested: dict[str, dict[str, Any]] = {}
@@ -150,7 +149,7 @@ def test_a_file_gives_back_what_was_written(voxel: float, points: int, topics: l
     assert Config.from_nested(yaml.safe_load(yaml.safe_dump(nested))) == config
 
 
-def test_the_file_that_an_error_names_is_there() -> None:
+def test_the_file_named_in_an_error_exists() -> None:
     with pytest.raises(InputError) as refusal:
         Config.from_flat({'nothing.like_it': 1})
     path = re.findall(r'config/\S+\.yaml', refusal.value.message)[0]

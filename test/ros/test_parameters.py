@@ -225,7 +225,7 @@ def test_a_bone_that_cannot_be_loaded_leaves_the_old_one(start_node: StartNode, 
 @pytest.mark.parametrize('given, complaint', [
     ({'solver.metod': 'paper'}, 'did you mean solver.method?'),
     ({'gate.max_speed': 'fast'}, 'gate.max_speed must be a finite number'),
-    ({'landmarks.names': "['one']"}, 'must hold x y z for each of'),
+    ({'landmarks.names': "['one']"}, 'must have x, y, z for each of'),
     ({'probe.topics': "['no topic!']"}, 'is no name of a topic'),
 ], ids=['misspelt', 'wrong type', 'no positions', 'no topic'])
 def test_a_node_does_not_start_on_parameters_it_cannot_use(
