@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bone as a surface: checked, repaired, oriented."""
+"""The surface of a bone: validation, mesh repair, orientation."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The generalized winding number of a mesh, with holes or without (Jacobson et al. 2013)."""
+"""The generalized winding number of a mesh, with or without holes (Jacobson et al. 2013)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gsdf_registration.common.rigid import Array
 
 def winding_numbers(vertices: Array, faces: np.ndarray, points: Array) -> Array:
     """
-    Return how often the mesh goes round each point.
+    Return the winding number of the mesh at each point.
 
-    1 inside and 0 outside a closed mesh wound outward, in between near holes; on a face the mean of
-    both sides.
+    It is 1 inside and 0 outside a closed, outward-oriented mesh, in between near holes, and on a
+    face the mean of both sides.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def _add_angles(vertices: Array, faces: np.ndarray, points: Array, total: Array)
             b = math.sqrt(bx * bx + by * by + bz * bz)
             c = math.sqrt(cx * cx + cy * cy + cz * cz)
             volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-            if abs(volume) > 1e-9 * a * b * c:      # in the plane of the face both sides cancel
+            if abs(volume) > 1e-9 * a * b * c:      # in the plane of the face it is 0
                 ab = ax * bx + ay * by + az * bz
                 bc = bx * cx + by * cy + bz * cz
                 ca = cx * ax + cy * ay + cz * az

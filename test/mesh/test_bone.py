@@ -1,39 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever a mesh suffered, the bone made of it is the same clean, outward surface."""
+"""Test that `make_bone` turns a defective mesh into a valid, outward-oriented surface."""
+
+from __future__ import annotations
 
 import logging
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from meshes import blob, two, volume
 
 from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.mesh.bone import make_bone
 
-
-def blob(subdivisions=3):
-    """Return vertices and faces of a bumpy, asymmetric, bone-sized body."""
-    mesh = trimesh.creation.icosphere(subdivisions)
-    v = np.array(mesh.vertices)
-    r = 1.0 + 0.2 * np.sin(3.0 * v[:, 0]) + 0.15 * np.cos(4.0 * v[:, 1] + 1.0) * v[:, 2]
-    return v * r[:, None] * [0.05, 0.04, 0.08], np.array(mesh.faces)
-
-
-def volume(vertices, faces):
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float((np.cross(a, b) * c).sum() / 6.0)
-
-
 VOLUME = volume(*blob())
 
 
-def two(first, second):
-    return np.vstack([first[0], second[0]]), np.vstack([first[1], second[1] + len(first[0])])
-
-
-def test_a_clean_mesh_is_left_alone(caplog):
+def test_keeps_a_valid_mesh(caplog):
     v, f = blob()
     bone = make_bone(v, f)
     np.testing.assert_array_equal(bone.vertices, v)
@@ -43,7 +27,7 @@ def test_a_clean_mesh_is_left_alone(caplog):
     assert bone.extent == pytest.approx(np.ptp(v, axis=0).max())
 
 
-def test_a_soup_of_triangles_is_stitched():
+def test_merges_the_vertices_of_separate_triangles():
     v, f = blob()
     bone = make_bone(v[f].reshape(-1, 3), np.arange(3 * len(f)).reshape(-1, 3))
     assert len(bone.vertices) == len(v) and len(bone.faces) == len(f)
@@ -52,7 +36,7 @@ def test_a_soup_of_triangles_is_stitched():
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_nearly_equal_vertices_are_merged(seed):
+def test_merges_vertices_within_the_tolerance(seed):
     v, f = blob(2)
     soup = v[f].reshape(-1, 3) + np.random.default_rng(seed).uniform(-1e-8, 1e-8, (3 * len(f), 3))
     assert len(make_bone(soup, np.arange(3 * len(f)).reshape(-1, 3)).vertices) == len(v)
@@ -60,7 +44,7 @@ def test_nearly_equal_vertices_are_merged(seed):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
-def test_flipped_faces_are_turned(seed, share):
+def test_flips_faces_against_the_winding(seed, share):
     v, f = blob(2)
     flipped = np.random.default_rng(seed).random(len(f)) < share
     f[flipped] = f[flipped, ::-1]
@@ -68,7 +52,7 @@ def test_flipped_faces_are_turned(seed, share):
     assert volume(bone.vertices, bone.faces) == pytest.approx(volume(*blob(2)))
 
 
-def test_an_inside_out_bone_is_turned():
+def test_flips_an_inside_out_mesh():
     v, f = blob()
     bone = make_bone(v, f[:, ::-1])
     assert volume(bone.vertices, bone.faces) == pytest.approx(VOLUME)
@@ -76,7 +60,7 @@ def test_an_inside_out_bone_is_turned():
 
 
 @pytest.mark.parametrize('inside_out', [False, True])
-def test_a_bone_with_holes_is_oriented(inside_out):
+def test_orients_a_mesh_with_holes(inside_out):
     v, f = blob()
     centres = v[f].mean(axis=1)
     f = f[(centres[:, 2] < 0.05) & (np.linalg.norm(centres - [0.04, 0.0, 0.0], axis=1) > 0.02)]
@@ -86,7 +70,7 @@ def test_a_bone_with_holes_is_oriented(inside_out):
     assert ((outward * bone.vertices[bone.faces].mean(axis=1)).sum(axis=1) > 0.0).mean() > 0.99
 
 
-def test_every_body_is_oriented_by_itself():
+def test_orients_each_body_separately():
     v, f = blob()
     bone = make_bone(*two((v, f[:, ::-1]), (v * 0.5 + [0.2, 0.0, 0.0], f)))
     assert volume(bone.vertices, bone.faces) == pytest.approx(VOLUME * 1.125)
@@ -94,37 +78,37 @@ def test_every_body_is_oriented_by_itself():
 
 
 @pytest.mark.parametrize('inside_out', [False, True])
-def test_a_canal_inside_is_dropped(inside_out):
+def test_drops_a_body_inside_another(inside_out):
     v, f = blob()
     bone = make_bone(*two((v, f), (v * 0.6, f[:, ::-1] if inside_out else f)))
     assert len(bone.faces) == len(f) and volume(bone.vertices, bone.faces) == pytest.approx(VOLUME)
     assert 'inside another' in bone.notes[-1]
 
 
-def test_a_body_that_only_cuts_another_stays():
+def test_keeps_a_body_that_intersects_another():
     v, f = blob()
     assert len(make_bone(*two((v, f), (v * 0.6 + [0.04, 0.0, 0.0], f))).faces) == 2 * len(f)
 
 
-def test_specks_are_dropped():
+def test_drops_small_bodies():
     v, f = blob()
     bone = make_bone(*two((v, f), (v * 0.05 + [0.2, 0.0, 0.0], f)))
     assert len(bone.faces) == len(f) and len(bone.vertices) == len(v)
     assert bone.extent == pytest.approx(np.ptp(v, axis=0).max())
-    assert '1 loose speck' in bone.notes[0]
+    assert '1 small body' in bone.notes[0]
 
 
-def test_slivers_repeated_faces_and_loose_vertices_are_dropped():
+def test_drops_degenerate_faces_duplicate_faces_and_unused_vertices():
     v, f = blob()
     a, b = f[0, :2]
     v = np.vstack([v, 0.5 * (v[a] + v[b]), [0.3, 0.3, 0.3]])
     bone = make_bone(v, np.vstack([f, f[:5], f[5:8, ::-1], [[a, b, len(v) - 2], [a, a, b]]]))
     assert len(bone.faces) == len(f) and len(bone.vertices) == len(v) - 2
     text = ' '.join(bone.notes)
-    assert '2 faces without an area' in text and '8 duplicate faces' in text
+    assert '2 faces with zero area' in text and '8 duplicate faces' in text
 
 
-def test_repairs_are_told_once(caplog):
+def test_logs_all_repairs_in_one_warning(caplog):
     v, f = blob()
     with caplog.at_level(logging.WARNING):
         make_bone(*two((v, f[:, ::-1]), (v * 0.5, f)))
@@ -133,7 +117,7 @@ def test_repairs_are_told_once(caplog):
 
 @settings(deadline=None, max_examples=20)
 @given(st.floats(0.2, 10.0))
-def test_the_scale_changes_nothing_but_the_scale(scale):
+def test_repair_does_not_depend_on_the_scale(scale):
     v, f = two(blob(2), (blob(2)[0] * 0.5, blob(2)[1]))
     f = np.vstack([f, f[:3]])
     f[::7] = f[::7, ::-1]
@@ -143,30 +127,30 @@ def test_the_scale_changes_nothing_but_the_scale(scale):
     assert one.notes == other.notes
 
 
-@pytest.mark.parametrize(('scale', 'said'), [(1000.0, 'mm, not m'), (0.001, 'm, not mm')])
-def test_a_size_no_bone_has_is_a_wrong_unit(scale, said):
+@pytest.mark.parametrize(('scale', 'message'), [(1000.0, 'mm, not m'), (0.001, 'm, not mm')])
+def test_rejects_a_size_that_suggests_the_wrong_unit(scale, message):
     v, f = blob()
-    with pytest.raises(InputError, match=said) as refusal:
+    with pytest.raises(InputError, match=message) as refusal:
         make_bone(v * scale, f)
     assert refusal.value.reason is Reason.WRONG_UNIT
 
 
-def test_what_is_no_bone_is_refused():
+def test_rejects_invalid_surfaces():
     v, f = blob(1)
     broken = v.copy()
     broken[3, 1] = np.nan
     beyond = f.copy()
     beyond[2, 2] = len(v)
-    for vertices, faces, said in [(broken, f, 'not finite'), (v, beyond, 'face 2'),
-                                  (v, -f, 'not there'), (v, None, 'neither'), (v, f[:0], 'neither'),
-                                  (v[:0], f, 'empty'), (v[:, :2], f, 'rows of three'),
-                                  (v, f[:, :2], 'triangulate'), (v, f.astype(float), 'indices'),
-                                  (v, np.repeat(f[:, :1], 3, axis=1), 'area')]:
-        with pytest.raises(InputError, match=said):
+    for vertices, faces, message in [
+            (broken, f, 'not finite'), (v, beyond, 'face 2'), (v, -f, 'does not exist'),
+            (v, None, 'neither'), (v, f[:0], 'neither'), (v[:0], f, 'empty'),
+            (v[:, :2], f, 'rows of three'), (v, f[:, :2], 'triangulate'),
+            (v, f.astype(float), 'indices'), (v, np.repeat(f[:, :1], 3, axis=1), 'area')]:
+        with pytest.raises(InputError, match=message):
             make_bone(vertices, faces)
 
 
-def test_a_cloud_keeps_its_normals_at_unit_length():
+def test_normalizes_the_normals_of_a_cloud_and_drops_duplicate_points():
     v, _ = blob()
     n = v / np.linalg.norm(v, axis=1, keepdims=True)
     bone = make_bone(np.vstack([v, v[:4]]), None, 3.0 * np.vstack([n, n[:4]]))
@@ -175,14 +159,15 @@ def test_a_cloud_keeps_its_normals_at_unit_length():
     assert bone.faces is None and len(bone.notes) == 2
 
 
-def test_clouds_without_proper_normals_are_refused():
+def test_rejects_a_cloud_with_invalid_normals():
     v, _ = blob(1)
-    for normals, said in [(v[1:], 'normals'), (v * 0.0, 'no length'), (v * np.nan, 'not finite')]:
-        with pytest.raises(InputError, match=said):
+    for normals, message in [(v[1:], 'normals'), (v * 0.0, 'zero length'),
+                             (v * np.nan, 'not finite')]:
+        with pytest.raises(InputError, match=message):
             make_bone(v, None, normals)
 
 
-def test_the_hash_is_that_of_the_geometry():
+def test_hash_depends_only_on_the_geometry():
     v, f = blob()
     assert make_bone(v, f).sha256 == make_bone(v.copy(), f.astype(np.int64)).sha256
     assert make_bone(v, f).sha256 != make_bone(v * 1.001, f).sha256
