@@ -44,12 +44,12 @@ class WarmPose:
         self._corners = np.array([low, high])[CORNERS, [0, 1, 2]]
         self._T_of_neighbours = self.solution.T_bone_tracker
         self._neighbourhood = Neighbourhood(self.points, self._field, self._T_of_neighbours)
-        self._solve(carry=False)
+        self._solve(reuse_correction=False)
         self.solution = allow_for_model_error(self.solution, self.points)
 
-    def _solve(self, carry: bool) -> None:
+    def _solve(self, reuse_correction: bool) -> None:
         self.solution = refine(self.points, self._field, self.solution, self._config.solver,
-                               self._neighbourhood.indices, carry)
+                               self._neighbourhood.indices, reuse_correction)
 
     def add(self, points: Array) -> None:
         """
@@ -68,7 +68,7 @@ class WarmPose:
         self._neighbourhood.add(joining)
         if len(self.points) - len(self.solution.weights) < FEW * len(self.points):
             return
-        self._solve(carry=True)
+        self._solve(reuse_correction=True)
         if self._moved() > MOVED:
             self._settle()
         if self.confidence is not None:

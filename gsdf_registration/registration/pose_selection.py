@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Local solutions from several starts, which of them is the pose, how near the next comes."""
+"""Solve from several start poses and select the best solution and its alternatives."""
 
 from __future__ import annotations
 
@@ -18,25 +18,32 @@ from gsdf_registration.common.config import Config, SolverConfig
 from gsdf_registration.common.result import Cancelled
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.search.consensus import SCATTER, consensus
-from gsdf_registration.solver import Solution, allow_for_model_error, nearest_neighbours, solve
-from gsdf_registration.solver.mixture import patch_likelihood
+from gsdf_registration.search.consensus import POSE_ERROR, consensus
+from gsdf_registration.solver import (
+    Solution,
+    allow_for_model_error,
+    nearest_neighbours,
+    patch_likelihood,
+    solve,
+)
 
-APART = 0.0015  # m: solutions that move the points less than this apart (RMS) are one basin
-
-
-ROUNDS = 4      # of consensus; one that finds nothing better is the last
-CANDIDATES = 48     # of a round that are solved to the end: the right one may rank low before that
-EXPLAINED = 0.9     # share of the points: where so many fit exactly, no other pose can fit better
+# m: solutions that place the points less than this apart (RMS) are the same local minimum
+SAME_MINIMUM = 0.0015
+CONSENSUS_ROUNDS = 4        # at most; a round that finds no better solution is the last
+# Poses of a round that are solved: the best one may rank low before it is solved
+CONSENSUS_POSES = 48
+# Share of the points: no other pose can fit better than one that explains this many
+MOSTLY_EXPLAINED = 0.9
+EXPLAINED_SD = 3.0          # standard deviations of the mean of an explained neighbourhood
 
 
 class AlternativePose(NamedTuple):
     """
-    Another pose that was found.
+    Another local minimum.
 
     T_bone_tracker : (4, 4) float, metres
-    gap : float, by how much it is less likely than the chosen one (natural logarithm)
-    cost_ratio : float, Geman and McClure's cost of the points there over that at the chosen one
+    gap : float, log-likelihood of the selected pose less that of this one
+    cost_ratio : float, Geman-McClure cost of this pose over that of the selected one
     """
 
     T_bone_tracker: Array
@@ -47,63 +54,73 @@ class AlternativePose(NamedTuple):
 @dataclass(frozen=True)
 class SelectedPose:
     """
-    The best solution and what stands against it.
+    The best solution and its alternatives.
 
-    residuals : (n,) float, metres, of all points on strokes, at the pose
-    rivals : poses elsewhere, the most likely first
+    solution : Solution
+    residuals : (n,) float, metres, of all points used, at the pose
+    alternatives : of AlternativePose, most likely first
     """
 
     solution: Solution
     residuals: Array
-    rivals: list[AlternativePose]
+    alternatives: list[AlternativePose]
 
     @property
     def runner_up_ratio(self) -> float | None:
-        """Return the least cost elsewhere over the cost here; None if no other pose was found."""
-        return min((rival.cost_ratio for rival in self.rivals), default=None)
+        """The smallest cost ratio of the alternatives; None without alternatives."""
+        return min((other.cost_ratio for other in self.alternatives), default=None)
 
-    def as_likely(self, min_gap: float) -> list[Array]:
-        """Return the poses, T_bone_tracker, less than ``min_gap`` less likely than the chosen."""
-        return [rival.T_bone_tracker for rival in self.rivals if rival.gap < min_gap]
+    def ambiguous(self, min_gap: float) -> list[Array]:
+        """Return the alternatives, T_bone_tracker, with a gap below ``min_gap``."""
+        return [other.T_bone_tracker for other in self.alternatives if other.gap < min_gap]
 
 
-def choose(solutions: Sequence[Solution], points: Array, field: Field,
-           config: SolverConfig) -> SelectedPose:
+def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
+                config: SolverConfig) -> SelectedPose:
     """
-    Return the solution of the highest rank, and how near the others come.
+    Return the solution of the highest rank, with the other local minima as alternatives.
 
-    An error of the model is allowed for in it, if one is seen.
+    The selected solution allows for an error of the model, if one is found.
 
     Parameters
     ----------
-    solutions : one or more, of the same points
+    solutions : sequence of Solution
+        One or more, of the same points.
     points : (n, 3) float64, metres, tracker frame
+    field : Field
+    config : SolverConfig
 
     """
     best = max(solutions, key=lambda solution: solution.rank)
     placed = [rigid.transform(solution.T_bone_tracker, points) for solution in (best, *solutions)]
     residuals = [field.sample(x)[0] for x in placed]
     neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
-    scatter = max(_scatter(best, neighbours), 0.01 * field.voxel_size)
-    # the same yardstick for all: the likelihood of the local means, the cost that levels off
-    likelihood = [patch_likelihood(e, neighbours, scatter) for e in residuals]
+    local_sd = max(_local_sd(best, neighbours), 0.01 * field.voxel_size)
+    # the same measures for all solutions: the likelihood of the local means and a robust cost
+    likelihood = [patch_likelihood(e, neighbours, local_sd) for e in residuals]
     cost = [(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals]
-    found, rivals = [placed[0]], []
+    minima, alternatives = [placed[0]], []
     for k in np.argsort(likelihood, kind='stable')[::-1]:
-        if all(np.sqrt(((placed[k] - x) ** 2).sum(axis=1).mean()) > APART for x in found):
-            found.append(placed[k])
-            rivals.append(AlternativePose(solutions[k - 1].T_bone_tracker, likelihood[0] - likelihood[k],
-                                float(cost[k] / max(cost[0], 1e-12))))
+        if all(np.sqrt(((placed[k] - x) ** 2).sum(axis=1).mean()) > SAME_MINIMUM for x in minima):
+            minima.append(placed[k])
+            alternatives.append(AlternativePose(solutions[k - 1].T_bone_tracker,
+                                                likelihood[0] - likelihood[k],
+                                                float(cost[k] / max(cost[0], 1e-12))))
     best = allow_for_model_error(best, points)
-    return SelectedPose(best, field.sample(rigid.transform(best.T_bone_tracker, points))[0], rivals)
+    residual = field.sample(rigid.transform(best.T_bone_tracker, points))[0]
+    return SelectedPose(best, residual, alternatives)
 
 
-def _scatter(solution: Solution, neighbours: NDArray[np.int64]) -> float:
-    """Return how far local means scatter by noise alone, or if most do not, by what is there."""
+def _local_sd(solution: Solution, neighbours: NDArray[np.int64]) -> float:
+    """
+    Return the standard deviation of the local means of the residuals.
+
+    Only white noise counts if the solution is consistent.
+    """
     e = np.nan_to_num(solution.residuals)
     mean, w = e[neighbours].mean(axis=1), solution.weights
     white = 1.4826 * float(np.median(np.abs(e - mean))) / np.sqrt(neighbours.shape[1])
-    if solution.exact:
+    if solution.consistent:
         return white
     return max(white, float(np.sqrt((w * mean**2).sum() / max(w.sum(), 1e-9))))
 
@@ -115,51 +132,56 @@ def solve_all(points: Array,
               history: bool = False,
               cancelled: Callable[[], bool] | None = None) -> list[Solution]:
     """
-    Return the local solution from each start, and others where not all points fit the best.
+    Return the local solution from each start, and more if the best one does not explain the points.
 
-    Where it may be drawn off by soft tissue, those near it that hold for a few patches; where no
-    pose fits most points exactly, those that allow for the error of model and tracker.
+    Soft tissue may bias the best solution: then also solve from poses near it that fit a few
+    patches. If no solution is consistent, also solve without annealing to the noise, which allows
+    for errors of the model and the tracker.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, tracker frame
-    field : of the bone
-    starts : (4, 4) float each, T_bone_tracker
+    field : Field
+    starts : sequence of (4, 4) float, T_bone_tracker, metres
     config : Config
-    history : whether to keep every step
-    cancelled : asked before each solution; a true answer ends the work
+    history : bool
+        Whether the solutions contain every iteration.
+    cancelled : callable, optional
+        Called before each solve; if it returns True, `Cancelled` is raised.
 
     Raises
     ------
     Cancelled
 
     """
-    def near(start: Array, **more: Any) -> Solution:
+    def solve_from(start: Array, **options: Any) -> Solution:
         if cancelled is not None and cancelled():
             raise Cancelled
-        return solve(points, field, start, config.solver, history, **more)
+        return solve(points, field, start, config.solver, history, **options)
 
     with ThreadPoolExecutor(config.search.threads or os.cpu_count() or 1) as pool:
-        solutions = list(pool.map(near, starts))
+        solutions = list(pool.map(solve_from, starts))
         if config.solver.method == 'paper':
             return solutions
-        for _ in range(ROUNDS):
+        for _ in range(CONSENSUS_ROUNDS):
             best = max(solutions, key=lambda solution: solution.rank)
             neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
-            if _explained(best, neighbours) > EXPLAINED:
+            if _explained_share(best, neighbours) > MOSTLY_EXPLAINED:
                 break
-            poses = consensus(points, field, best.T_bone_tracker, neighbours, CANDIDATES)
-            found = list(pool.map(partial(near, neighbours=neighbours, scatter=SCATTER), poses))
+            poses = consensus(points, field, best.T_bone_tracker, neighbours, CONSENSUS_POSES)
+            found = list(pool.map(
+                partial(solve_from, neighbours=neighbours, local_sd=POSE_ERROR), poses))
             solutions += found
-            if max(solution.rank for solution in found) < (best.exact, best.score + 1.0):
+            if max(solution.rank for solution in found) < (best.consistent, best.score + 1.0):
                 break
-        if not max(solutions, key=lambda solution: solution.rank).exact:
-            solutions += pool.map(partial(near, exact=False), starts)
+        if not max(solutions, key=lambda solution: solution.rank).consistent:
+            solutions += pool.map(partial(solve_from, anneal_to_noise=False), starts)
     return solutions
 
 
-def _explained(solution: Solution, neighbours: NDArray[np.int64]) -> float:
-    """Return the share of the points whose local mean is within what white noise gives."""
+def _explained_share(solution: Solution, neighbours: NDArray[np.int64]) -> float:
+    """Return the share of the points whose local mean is within that of white noise."""
     mean = solution.residuals[neighbours].mean(axis=1)
     noise = 1.4826 * np.median(np.abs(solution.residuals - mean))
-    return float((np.abs(mean) < 3.0 * noise / np.sqrt(neighbours.shape[1])).mean())
+    limit = EXPLAINED_SD * noise / np.sqrt(neighbours.shape[1])
+    return float((np.abs(mean) < limit).mean())

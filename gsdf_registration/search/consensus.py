@@ -28,7 +28,7 @@ CENTRES = 24        # that patches are drawn from
 SHARE = 0.08        # of the points in a patch
 POINTS = 300        # points that the patches are made of
 SCALES = np.array([0.003, 0.003, 0.002, 0.002, 0.0015])    # m, of the weights, a step each
-SCATTER = 0.00035   # m, by which a good pose from so few points is off
+POSE_ERROR = 0.00035   # m, by which a good pose from so few points is off
 APART = 0.00025     # m (RMS over the points) between poses returned
 
 
@@ -58,7 +58,7 @@ def consensus(points: Array, field: Field, T_bone_tracker: Array, neighbours: ND
     drawn = [np.unique(patch[rng.permutation(len(patch))[:PATCHES]]) for _ in range(DRAWS)]
     poses = np.array([_fit(sparse[draw], field, T_bone_tracker) for draw in drawn])
     likelihood = [patch_likelihood(field.sample(rigid.transform(T, points))[0], neighbours,
-                                   SCATTER) for T in poses]
+                                   POSE_ERROR) for T in poses]
     poses = poses[np.argsort(likelihood, kind='stable')[::-1]]
     centre = points.mean(axis=0)
     placed = np.array([rigid.transform(T, centre) for T in poses])

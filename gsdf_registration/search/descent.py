@@ -14,7 +14,7 @@ import numpy as np
 
 from gsdf_registration.common.numba_options import kernel, reordered
 from gsdf_registration.field.sample import CELLS, NODES
-from gsdf_registration.solver.gauss_newton import solve_cholesky, step_of, update
+from gsdf_registration.solver.gauss_newton import solve_cholesky, step_lengths, update
 
 LARGEST_TURN, LARGEST_SHIFT = 0.5, 0.1      # rad and m, of a step
 
@@ -78,7 +78,7 @@ def _step(A, b, dx, R, t):
         A[i, i] *= 1.001    # so that a patch of a sphere slides no farther than it must
     if not solve_cholesky(A, b, dx):
         return False
-    turn, shift = step_of(dx)
+    turn, shift = step_lengths(dx)
     long = max(turn / LARGEST_TURN, shift / LARGEST_SHIFT)
     if long > 1.0:
         dx /= long

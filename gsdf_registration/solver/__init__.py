@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate the pose from a first guess near it."""
+"""Estimate the pose from an initial pose near it."""
 
-from gsdf_registration.solver.local_solver import (
-    Estimates,
-    Solution,
-    allow_for_model_error,
-    refine,
-    solve,
-)
+from gsdf_registration.solver.local_solver import allow_for_model_error, refine, solve
+from gsdf_registration.solver.mixture import patch_likelihood
 from gsdf_registration.solver.model_error import ModelError
 from gsdf_registration.solver.neighbourhood import Neighbourhood, nearest_neighbours
+from gsdf_registration.solver.solution import Estimates, Solution
 
 __all__ = [
     'Estimates', 'ModelError', 'Neighbourhood', 'Solution', 'allow_for_model_error',
-    'nearest_neighbours', 'refine', 'solve'
+    'nearest_neighbours', 'patch_likelihood', 'refine', 'solve'
 ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a pose to that of the points about their centroid, and back."""
+"""Convert a pose of points to the pose of the same points about their centroid, and back."""
 
 from __future__ import annotations
 
@@ -9,36 +9,42 @@ from gsdf_registration.common.numba_options import kernel
 
 
 @kernel
-def about_centroid(points, T, centred, centre, R, t):
-    """Fill points (n, 3) less their ``centre`` (3,), and the pose ``T`` (4, 4) of these: R, t."""
-    centre[:] = 0.0
+def to_centroid_frame(points, T, centred, centroid, R, t):
+    """
+    Center points and convert their pose.
+
+    points, T : (n, 3) and (4, 4), m, the points and their pose
+    centred, centroid : (n, 3) and (3,), m, filled
+    R, t : (3, 3) and (3,), filled with the pose of the centred points
+    """
+    centroid[:] = 0.0
     for k in range(len(points)):
         for i in range(3):
-            centre[i] += points[k, i]
-    centre /= len(points)
+            centroid[i] += points[k, i]
+    centroid /= len(points)
     for k in range(len(points)):
         for i in range(3):
-            centred[k, i] = points[k, i] - centre[i]
+            centred[k, i] = points[k, i] - centroid[i]
     R[:] = T[:3, :3]
     _orthonormalize(R)
     for i in range(3):
-        t[i] = T[i, 0] * centre[0] + T[i, 1] * centre[1] + T[i, 2] * centre[2] + T[i, 3]
+        t[i] = T[i, 0] * centroid[0] + T[i, 1] * centroid[1] + T[i, 2] * centroid[2] + T[i, 3]
 
 
 @kernel
-def pose_about(centre, R, t, T):
-    """Fill ``T`` (4, 4), the pose of the points themselves, with its rotation made exact."""
+def from_centroid_frame(centroid, R, t, T):
+    """Fill ``T`` (4, 4), the pose of the original points; ``R`` is orthonormalized first."""
     _orthonormalize(R)
     T[:] = 0.0
     T[:3, :3] = R
     for i in range(3):
-        T[i, 3] = t[i] - R[i, 0] * centre[0] - R[i, 1] * centre[1] - R[i, 2] * centre[2]
+        T[i, 3] = t[i] - R[i, 0] * centroid[0] - R[i, 1] * centroid[1] - R[i, 2] * centroid[2]
     T[3, 3] = 1.0
 
 
 @kernel
 def _orthonormalize(R):
-    """Take ``R``, nearly a rotation, to the nearest: a Newton step of its polar decomposition."""
+    """Replace ``R``, nearly a rotation, by the nearest: a Newton step of polar decomposition."""
     S = np.empty((3, 3))
     for i in range(3):
         for j in range(3):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-One Gauss-Newton step on the gradient-SDF, compiled; what every solver here is made of.
+Compiled parts of a Gauss-Newton step on the gradient-SDF, shared by all solvers.
 
-The unknown is ``T_bone_tracker = (R, t)`` with points taken relative to their centroid, so that t
-is where the centroid lies in the bone frame and the two halves of a step, rotation about the
-centroid and translation, hardly couple.
+The unknown is ``T_bone_tracker = (R, t)`` of the points relative to their centroid: t is the
+position of the centroid in the bone frame, and rotation about the centroid and translation hardly
+couple.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from gsdf_registration.field.sample import BATCH, sample_batch
 @kernel
 def linearize(field, points, R, t, keep, e, J):
     """
-    Fill residuals ``e`` (n,) and derivatives ``J`` (n, 6) at the pose; skip points not in ``keep``.
+    Fill residuals ``e`` (n,) and derivatives ``J`` (n, 6) at the pose.
 
+    Points with ``keep`` (n,) false are skipped.
     Equation 1: e_k = SDF(R p_k + t); 5 and 6: J_k = grad SDF . [-(R p_k)^, I], rotation first.
     """
     which = np.empty(BATCH, np.uint64)
@@ -32,15 +33,15 @@ def linearize(field, points, R, t, keep, e, J):
         which[n] = k
         n += keep[k]
         if n == BATCH or k + 1 == len(points):
-            turn_by(points, which, n, R, arm)
+            rotate(points, which, n, R, arm)
             sample_batch(field, arm, t, n, value)
             write_rows(which, n, arm, value, e, J)
             n = 0
 
 
 @kernel
-def turn_by(points, which, n, R, arm):
-    """Fill ``arm`` = R p with some of the points."""
+def rotate(points, which, n, R, arm):
+    """Fill ``arm`` (3, n), R p of the points with indices ``which``."""
     for k in range(n):
         x, y, z = points[which[k], 0], points[which[k], 1], points[which[k], 2]
         arm[0, k] = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
@@ -50,7 +51,7 @@ def turn_by(points, which, n, R, arm):
 
 @kernel
 def write_rows(which, n, arm, value, e, J):
-    """Write what was sampled to the rows of ``e`` and ``J`` that it belongs to."""
+    """Write the sampled distances and gradients to rows ``which`` of ``e`` and ``J``."""
     for k in range(n):
         x, y, z = arm[0, k], arm[1, k], arm[2, k]
         gx, gy, gz = float(value[1, k]), float(value[2, k]), float(value[3, k])
@@ -66,7 +67,7 @@ def write_rows(which, n, arm, value, e, J):
 
 @inlined_kernel
 def _plus(s, a, j):
-    """Return s + a j of tuples of six."""
+    """Return s + a j, where s and j are tuples of six."""
     return (s[0] + a * j[0], s[1] + a * j[1], s[2] + a * j[2], s[3] + a * j[3], s[4] + a * j[4],
             s[5] + a * j[5])
 
@@ -74,8 +75,8 @@ def _plus(s, a, j):
 @kernel
 def normal_equations(J, e, w, A, b):
     """Fill ``A`` = J^T W J (lower triangle) and ``b`` = -J^T W e; return the cost sum w e^2."""
-    # tuples stay in registers, where arrays would be read and written at every point; of the
-    # rows, what lies above the diagonal is never asked for and so never computed
+    # tuples stay in registers, whereas arrays would be read and written for every point; elements
+    # above the diagonal are never used, so the compiler omits them
     x0 = x1 = x2 = x3 = x4 = x5 = y = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     cost = 0.0
     for k in range(len(e)):
@@ -99,11 +100,11 @@ def normal_equations(J, e, w, A, b):
 @kernel
 def damp(A, cost, size2):
     """
-    Add Levenberg damping that vanishes with the cost (m^2), as in Fan and Yuan 2005.
+    Add Levenberg damping proportional to the cost (m^2), as in Fan and Yuan 2005.
 
     ``size2``: mean square of the points, m^2.
-    Far from the bone all gradients are nearly parallel and a bare step would go anywhere; near it
-    this changes no digit that counts.
+    Far from the bone, all gradients are nearly parallel and an undamped step is arbitrary; near the
+    bone the damping is negligible.
     """
     for i in range(3):
         A[i, i] += 0.1 * cost
@@ -113,9 +114,10 @@ def damp(A, cost, size2):
 @kernel
 def solve_cholesky(A, b, x):
     """
-    Solve A x = b by the lower triangle of ``A`` (6, 6), overwriting it; False if A is singular.
+    Solve A x = b from the lower triangle of ``A`` (6, 6), which is overwritten.
 
-    A pivot is called zero relative to its own diagonal, so that the unit of length does not matter.
+    Returns False if A is singular: a pivot is zero relative to its diagonal element, so that the
+    unit of length does not matter.
     """
     n = len(b)
     for i in range(n):
@@ -145,7 +147,7 @@ def solve_cholesky(A, b, x):
 
 @kernel
 def update(R, t, dx):
-    """Apply X (+) dX = (exp(xi^) R, t + phi) in place, dX = [xi, phi] (equations 2-3)."""
+    """Apply X (+) dX = (exp(xi^) R, t + phi) in place, dX = [xi, phi] (equations 2, 3)."""
     a, b, c = dx[0], dx[1], dx[2]
     angle = math.sqrt(a * a + b * b + c * c)
     if angle > 0.0:
@@ -164,20 +166,18 @@ def update(R, t, dx):
 
 
 @kernel
-def step_of(dx):
-    """Return the lengths of the two halves of a step: radians and metres."""
+def step_lengths(dx):
+    """Return the lengths of the rotation (rad) and the translation (m) of a step."""
     return (math.sqrt(dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2]),
             math.sqrt(dx[3] * dx[3] + dx[4] * dx[4] + dx[5] * dx[5]))
 
 
-# How a solver ended.
-SETTLED, EXHAUSTED, SINGULAR = range(3)
-TERMINATION = ('the weights settled', 'the iterations ran out', 'the points do not hold the pose')
-
-# Columns of a history row: cost, rotation step, translation step, points in use.
-HISTORY = 4
+# Why a solver stopped
+CONVERGED, MAX_ITERATIONS, SINGULAR = range(3)
+TERMINATION = ('converged', 'the maximum number of iterations was reached',
+               'the points do not constrain the pose')
 
 
 def empty_history(rows: int) -> np.ndarray:
-    """Return the (rows, 4) array a solver fills: cost m^2, step rad, step m, points in use."""
-    return np.zeros((rows, HISTORY))
+    """Return (rows, 4), one row per iteration: cost m^2, rotation rad, translation m, inliers."""
+    return np.zeros((rows, 4))

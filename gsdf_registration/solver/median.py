@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The median of an array by selection in place (Hoare 1961), without taking memory."""
+"""Median of an array by in-place selection (Hoare 1961), without allocating memory."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from gsdf_registration.common.numba_options import kernel
 
 @kernel
 def median(x):
-    """Return the median of ``x`` (n,), n >= 1, none of them NaN; their order is lost."""
+    """Return the median of ``x`` (n,), n >= 1, without NaN; ``x`` is reordered."""
     half = len(x) // 2
     upper = _select(x, half)
     if len(x) % 2 == 1:
         return upper
-    lower = x[0]        # the greatest of the lower half, which selection has put in front
+    lower = x[0]        # the maximum of the lower half, which the selection has moved to the front
     for i in range(1, half):
         lower = max(lower, x[i])
     return 0.5 * (lower + upper)
@@ -21,10 +21,10 @@ def median(x):
 
 @kernel
 def _select(x, rank):
-    """Return the value that has ``rank`` others before it; those put before it are no greater."""
+    """Return the value of the given rank, moved to that position; no value before it is larger."""
     low, high = 0, len(x) - 1
     while low < high:
-        # the middle one of three: values that are sorted already must not take forever
+        # median of three: sorted values must not lead to quadratic time
         a, b, c = x[low], x[(low + high) // 2], x[high]
         pivot = max(min(a, b), min(max(a, b), c))
         i, j = low, high

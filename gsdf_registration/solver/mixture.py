@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The default method: every point is on the bone or not; how likely follows from what lies round it.
+The default method: a mixture of points on the bone and interference.
 
-A tracker's noise is white from one sample to the next; soft tissue, another object or a wrong pose
-is not.  So the mean residual of a point and its neighbours, whose noise is small, tells bone from
-interference long before the point's own residual does.  Expectation maximization (Dempster, Laird,
-Rubin 1977) with everything estimated: the noise, the scatter of the means, the share of
-interference. Nothing is given up for good.  Soft tissue only ever lies outside, hence the uneven
-density of interference.
+Tracker noise is white from one sample to the next; the residuals of soft tissue, of another object
+or of a wrong pose are not.  The mean residual of a point and its neighbours contains little noise,
+so it separates bone from interference much earlier than the residual of the point itself.  The
+mixture is solved by expectation maximization (Dempster, Laird, Rubin 1977), which also estimates
+the noise, the standard deviation of the local means and the inlier ratio.  No point is discarded
+permanently.  Soft tissue lies outside the bone, so the density of interference is higher there.
 """
 
 from __future__ import annotations
@@ -20,47 +20,48 @@ from numpy.typing import NDArray
 from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver.gauss_newton import (
-    EXHAUSTED,
-    SETTLED,
+    CONVERGED,
+    MAX_ITERATIONS,
     SINGULAR,
     damp,
     linearize,
     normal_equations,
     solve_cholesky,
-    step_of,
+    step_lengths,
     update,
 )
 from gsdf_registration.solver.median import median
 
-# m: interference is modelled as uniform within this distance of the bone, as thick as soft tissue
+# m: interference is modelled as uniform within this distance of the bone, about the thickness of
+# soft tissue left on an exposed bone
 INTERFERENCE_RANGE = 0.006
-OUTSIDE = 0.9       # share of the interference that lies outside the bone
-# a point this much less likely than its neighbours (3.2 sigma) is interference of its own
-LONE = 5.0
-EXACTLY = 2.5       # standard deviations
+OUTSIDE_SHARE = 0.9     # of the interference lies outside the bone
+# excess of a point's -log-likelihood over its neighbours' (3.2 sigma) from which it is an outlier
+OUTLIER_EXCESS = 5.0
+CONSISTENT = 2.5        # standard deviations
 ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
 @kernel
 def expectation_maximization(field, points, R, t, neighbours, weight, curvature, e, J, history,
-                             estimates, strict, exact, cooling, reach, tolerance):
+                             estimates, annealed, anneal_to_noise, annealing_factor, reach,
+                             tolerance):
     """
-    Run EM with one Gauss-Newton step a round, in place on ``R`` (3, 3), ``t`` (3,).
+    Run EM with one Gauss-Newton step per iteration, in place on ``R`` (3, 3), ``t`` (3,).
 
     points : (n, 3), about their centroid
-    neighbours : (n, K) the nearest points of each, itself first
-    estimates : (4,) to begin with, and as found: noise (standard deviation of a point), scatter
-        (that of the mean residuals), share of the points that are on the bone; last, what
-        the scatter may not exceed
-    strict : whether the scatter stands as given; else it falls by ``cooling`` a round (graduated
-        non-convexity) until it is what is estimated
-    exact : whether it is first to fall on to what white noise gives
-    reach : interference is sought this far from the bone
-    tolerance : a step no longer than this is not taken any more
+    neighbours : (n, K) nearest neighbours of each point, itself first
+    estimates : (4,) initial values, updated: noise (standard deviation of a point), standard
+        deviation of the local means, inlier ratio; last the limit of the second, not updated
+    annealed : whether the standard deviation of the local means starts at its estimate; if false,
+        it falls by ``annealing_factor`` per iteration (graduated non-convexity) until it gets there
+    anneal_to_noise : whether it is annealed down to the value that white noise gives
+    reach : range of the interference around the bone
+    tolerance : EM stops when the step is shorter
 
-    Returns (termination, iterations, log-likelihood, whether most points fit exactly); ``weight``
-    is the probability that a point is on the bone, ``curvature`` what it adds to what is known of
-    the pose.
+    Returns (termination, iterations, log-likelihood, whether the points are consistent with white
+    noise).  ``weight`` is filled with the probability that a point is on the bone, ``curvature``
+    with the information that it contributes.
     """
     n, K = neighbours.shape
     keep = np.ones(n, dtype=np.bool_)
@@ -70,84 +71,88 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
     mean = np.zeros(n)
     work = np.zeros(2 * n)
     size = math.sqrt((points * points).sum() / n)
-    floor = 0.01 * field.voxel      # the field itself is no better
-    noise, scatter, share, limit = estimates
-    spread = scatter
-    settled = False
+    floor = 0.01 * field.voxel      # accuracy of the field itself
+    noise, local_sd, inlier_ratio, limit = estimates
+    spread = local_sd
+    converged = False
     last = len(history) - 1
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
         _local_means(e, neighbours, reach, work, mean)
-        # Late on, what was estimated stands and steps shrink, or a crease could be crossed for ever
+        # In late iterations the estimates are frozen and steps shrink; otherwise the pose could
+        # oscillate across a crease
         late = iteration - len(history) // 4
         estimating = late <= 0
         if estimating:
             noise = _white_noise(e, mean, K, reach, floor, work)
         white = noise / math.sqrt(K)
-        estimated = strict      # in the round before, if not given: only then may this be the last
-        if not strict:
-            end = white if exact else spread
-            scatter = max(scatter * cooling, end)
-            strict = scatter == end
-        on_bone, variance, likely = _expectation(e, mean, share, noise, scatter, reach, weight)
+        estimated = annealed    # in the previous iteration, which the last one requires
+        if not annealed:
+            end = white if anneal_to_noise else spread
+            local_sd = max(local_sd * annealing_factor, end)
+            annealed = local_sd == end
+        on_bone, variance, likely = _expectation(e, mean, inlier_ratio, noise, local_sd, reach,
+                                                 weight)
         spread = min(max(math.sqrt(variance), white), max(limit, white))
-        if strict and estimating:
-            share = min(max(on_bone / n, 0.2), 0.98)
-            scatter = spread
+        if annealed and estimating:
+            inlier_ratio = min(max(on_bone / n, 0.2), 0.98)
+            local_sd = spread
         history[iteration, 0], history[iteration, 3] = normal_equations(J, e, weight, A, b), likely
         damp(A, history[iteration, 0], size * size)
         if not solve_cholesky(A, b, dx):
             return SINGULAR, iteration, -np.inf, False
-        turn, shift = step_of(dx)
+        turn, shift = step_lengths(dx)
         shrink = 1.0 if estimating else 0.9**late
         history[iteration, 1], history[iteration, 2] = shrink * turn, shrink * shift
-        # a swing well within the noise is no reason to refuse; a drift is
+        # an oscillation well within the noise counts as converged; a drift does not
         step = turn * size + shift
-        settled = estimated and shrink * step < tolerance and step < max(0.1 * noise, tolerance)
-        if settled or iteration == last:
-            break   # so that all that is returned is of this very pose
+        converged = estimated and shrink * step < tolerance and step < max(0.1 * noise, tolerance)
+        if converged or iteration == last:
+            break   # before the update, so that all results belong to this pose
         dx *= shrink
         update(R, t, dx)
-    estimates[0], estimates[1], estimates[2] = noise, scatter, share
-    _observe(mean, weight, scatter, curvature)
-    # Where most points fit exactly, no model error need be allowed for: with it, a pose half on
-    # soft tissue could explain nearly everything
+    estimates[0], estimates[1], estimates[2] = noise, local_sd, inlier_ratio
+    _observed_information(mean, weight, local_sd, curvature)
+    # Where most points fit exactly, the likelihood allows for no model error: otherwise it could
+    # explain nearly all points at a pose that is half on soft tissue
     white = noise / math.sqrt(K)
-    fits = _fits_exactly(mean, white)
-    return (SETTLED if settled else EXHAUSTED, iteration + 1,
-            _log_likelihood(mean, K, share, white if fits else scatter, reach), fits)
+    consistent = _is_consistent(mean, white)
+    return (CONVERGED if converged else MAX_ITERATIONS, iteration + 1,
+            _log_likelihood(mean, K, inlier_ratio, white if consistent else local_sd, reach),
+            consistent)
 
 
 @kernel
-def _observe(mean, weight, scatter, curvature):
+def _observed_information(mean, weight, local_sd, curvature):
     """
-    Fill ``curvature`` with what each point adds to the observed information (Louis 1982).
+    Fill ``curvature`` with the contribution of each point to the observed information (Louis 1982).
 
-    What is known less what would be if it were certain which points are on the bone: where that
-    hangs on the pose itself, as on an arc that leaves the bone, a point takes away from it.
+    It is the complete-data information less the part missing because the class of a point, bone or
+    interference, is uncertain. Where the class depends on the pose, as along an arc that leaves the
+    bone, the contribution is negative.
     """
     for k in range(len(mean)):
-        m = mean[k] / scatter
+        m = mean[k] / local_sd
         curvature[k] = weight[k] * (1.0 - (1.0 - weight[k]) * m * m)
 
 
 @kernel
-def _fits_exactly(mean, white):
+def _is_consistent(mean, white):
     """
-    Tell whether most points lie on the bone exactly, and hardly any inside it.
+    Tell whether most points lie on the bone within white noise, and hardly any inside it.
 
-    What lies outside may be soft tissue; an error of the model or the tracker lies on both sides.
+    Points outside may be soft tissue; an error of the model or the tracker affects both sides.
     """
     on, inside = 0, 0
     for k in range(len(mean)):
-        on += abs(mean[k]) < EXACTLY * white
-        inside += mean[k] < -EXACTLY * white
+        on += abs(mean[k]) < CONSISTENT * white
+        inside += mean[k] < -CONSISTENT * white
     return on > 0.5 * len(mean) and inside < 0.1 * len(mean)
 
 
 @kernel
 def _local_means(e, neighbours, reach, near, mean):
-    """Fill ``mean`` (n,) with the mean residual of each point's neighbours, far ones left out."""
+    """Fill ``mean`` (n,) with the mean residual of each point's neighbours, without far points."""
     n, K = neighbours.shape
     for k in range(n):
         close = abs(e[k]) < 2.0 * reach
@@ -156,7 +161,7 @@ def _local_means(e, neighbours, reach, near, mean):
     for k in range(n):
         total = count = 0.0
         for j in range(K):
-            i = np.uint64(2) * np.uint64(neighbours[k, j])      # unsigned: none is negative
+            i = np.uint64(2) * np.uint64(neighbours[k, j])      # unsigned: no check for negatives
             total += near[i]
             count += near[i + np.uint64(1)]
         mean[k] = total / count if count > 0.0 else e[k]
@@ -164,32 +169,33 @@ def _local_means(e, neighbours, reach, near, mean):
 
 @kernel
 def _white_noise(e, mean, K, reach, floor, difference):
-    """Return the noise (SD) by differences to the local means, which a wrong pose hardly moves."""
+    """Return the noise (SD) from differences to local means, which a wrong pose hardly affects."""
     count = 0
     for k in range(len(e)):
         difference[count] = abs(e[k] - mean[k])
         count += abs(mean[k]) < reach
-    # the median absolute deviation; the mean holds 1/K of the point itself
+    # median absolute deviation; the mean contains 1/K of the point itself
     if count == 0:
         return floor
     return max(1.4826 * median(difference[:count]) / math.sqrt(1.0 - 1.0 / K), floor)
 
 
 @kernel
-def _expectation(e, mean, share, noise, scatter, reach, weight):
+def _expectation(e, mean, inlier_ratio, noise, local_sd, reach, weight):
     """
     Fill ``weight`` with the probability that each point is on the bone.
 
-    Returns how many are expected to be, the variance of their local means about zero, and how many
-    are so rather than not.
+    Returns the expected number of points on the bone, the mean square of their local means, and the
+    number of points that are more likely on the bone than not.
     """
     on_bone = squared = likely = 0.0
-    inside, outside = _odds_at_zero(share, scatter, reach)
-    per_scatter, per_noise = 1.0 / scatter, 1.0 / noise
+    inside, outside = _odds_at_zero(inlier_ratio, local_sd, reach)
+    per_local_sd, per_noise = 1.0 / local_sd, 1.0 / noise
     for k in range(len(e)):
-        m = mean[k] * per_scatter
+        m = mean[k] * per_local_sd
         r = (e[k] - mean[k]) * per_noise
-        odds = (outside if mean[k] > 0.0 else inside) - 0.5 * m * m + min(0.0, LONE - 0.5 * r * r)
+        odds = ((outside if mean[k] > 0.0 else inside) - 0.5 * m * m
+                + min(0.0, OUTLIER_EXCESS - 0.5 * r * r))
         weight[k] = 1.0 / (1.0 + math.exp(-odds)) if odds > -30.0 else 0.0
         on_bone += weight[k]
         squared += weight[k] * mean[k] * mean[k]
@@ -198,17 +204,18 @@ def _expectation(e, mean, share, noise, scatter, reach, weight):
 
 
 @kernel
-def _log_likelihood(mean, K, share, scatter, reach):
-    """Return that of the local means, which overlap K-fold among neighbours: each counts 1/K."""
-    inside, outside = _odds_at_zero(share, scatter, reach)
-    likelihood = len(mean) * math.log((1.0 - share) / reach)
+def _log_likelihood(mean, K, inlier_ratio, local_sd, reach):
+    """Return the log-likelihood of the local means; as neighbours overlap, each counts 1/K."""
+    inside, outside = _odds_at_zero(inlier_ratio, local_sd, reach)
+    likelihood = len(mean) * math.log((1.0 - inlier_ratio) / reach)
     product = 1.0
     for k in range(len(mean)):
-        m = mean[k] / scatter
+        m = mean[k] / local_sd
         odds = (outside if mean[k] > 0.0 else inside) - 0.5 * m * m
         likelihood += max(odds, 0.0)
-        # the logarithm of a product is quicker than the sum of logarithms
-        product *= (1.0 + math.exp(-abs(odds))) * (OUTSIDE if mean[k] > 0.0 else 1.0 - OUTSIDE)
+        # the logarithm of a product is faster than the sum of logarithms
+        product *= ((1.0 + math.exp(-abs(odds)))
+                    * (OUTSIDE_SHARE if mean[k] > 0.0 else 1.0 - OUTSIDE_SHARE))
         if k % 128 == 127:
             likelihood += math.log(product)
             product = 1.0
@@ -216,29 +223,31 @@ def _log_likelihood(mean, K, share, scatter, reach):
 
 
 @kernel
-def _odds_at_zero(share, scatter, reach):
-    """Return the log-odds of a mean residual next to zero, just inside the bone and outside."""
-    odds = math.log(share / (1.0 - share) / (ROOT_2PI * scatter / reach))
-    return odds - math.log(1.0 - OUTSIDE), odds - math.log(OUTSIDE)
+def _odds_at_zero(inlier_ratio, local_sd, reach):
+    """Return the log-odds of a local mean near zero, just inside the bone and just outside."""
+    odds = math.log(inlier_ratio / (1.0 - inlier_ratio) / (ROOT_2PI * local_sd / reach))
+    return odds - math.log(1.0 - OUTSIDE_SHARE), odds - math.log(OUTSIDE_SHARE)
 
 
-def patch_likelihood(e: Array, neighbours: NDArray[np.int64], scatter: float) -> float:
+def patch_likelihood(e: Array, neighbours: NDArray[np.int64], local_sd: float) -> float:
     """
-    Return the log-likelihood of residuals, with a given standard deviation of their local means.
+    Return the log-likelihood of residuals for a given standard deviation of their local means.
 
     Parameters
     ----------
     e : (n,) float, metres
+        Residuals.
     neighbours : (n, k) int
-    scatter : float, metres
+        Nearest neighbours of each point.
+    local_sd : float, metres
 
     """
-    return float(_patch_likelihood(e, neighbours, scatter, INTERFERENCE_RANGE))
+    return float(_patch_likelihood(e, neighbours, local_sd, INTERFERENCE_RANGE))
 
 
 @kernel
-def _patch_likelihood(e, neighbours, scatter, reach):
+def _patch_likelihood(e, neighbours, local_sd, reach):
     n, K = neighbours.shape
     mean = np.zeros(n)
     _local_means(e, neighbours, reach, np.zeros(2 * n), mean)
-    return _log_likelihood(mean, K, 0.5, scatter, reach)
+    return _log_likelihood(mean, K, 0.5, local_sd, reach)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The error of the model: alike over a stretch of bone, where noise is new with every point.
+Model error: correlated over a region of the bone, whereas noise is independent for every point.
 
-A segmentation is half a voxel off here and there, cartilage is left out, an electromagnetic field
-is bent. A hundred points on one such stretch know no more than one, so they share their weight:
-generalized least squares (Aitken 1936), the error a Gaussian process over the surface with a Matern
-3/2 covariance.  Its standard deviation and length are those of the highest restricted likelihood
-(REML; Patterson and Thompson 1971), which is that of what no motion of the bone explains.  They
-are believed if they raise it by more than chance does; where only noise is there, nothing changes.
+A segmentation is off by half a voxel in places, cartilage is missing, an electromagnetic field is
+distorted. A hundred points in such a region carry hardly more information than one, so they share
+their weight: generalized least squares (Aitken 1936), with the error as a Gaussian process over the
+surface with Matern 3/2 covariance.  Its standard deviation and correlation length maximize the
+restricted likelihood (REML; Patterson and Thompson 1971), the likelihood of the part of the
+residuals that no motion of the bone explains.  A model error is accepted if it raises the
+likelihood by more than chance does; with noise alone, nothing changes.
 """
 
 from __future__ import annotations
@@ -23,54 +24,57 @@ from gsdf_registration.common.downsampling import farthest_point_sample
 from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
 
-# that points are gathered in, over each of which the error is one: few tell its size, which takes
-# many trials, more the pose; and how many points there must be in each, on average
-FEW, MANY = (100, 6), (300, 2)
-FEWEST = 12         # cells, twice the motions
-LENGTHS = (0.004, 0.008, 0.016, 0.032)      # m, that are tried
-RATIOS = (0.1, 0.15, 0.22, 0.33, 0.5, 0.7, 1.0, 1.5, 2.2, 3.3)      # to the noise of a point
-GAIN = 5.0          # of the log-likelihood, which noise alone hardly ever gives
+# Points are grouped in cells over which the error is constant. Each pair: maximum number of cells,
+# points per cell on average. A coarse grouping suffices to estimate the error, which takes many
+# evaluations; the pose needs a fine one.
+COARSE, FINE = (100, 6), (300, 2)
+MIN_CELLS = 12      # twice the degrees of freedom
+LENGTHS = (0.004, 0.008, 0.016, 0.032)      # m, candidates for the correlation length
+# candidates for the model error over the noise of a point
+RATIOS = (0.1, 0.15, 0.22, 0.33, 0.5, 0.7, 1.0, 1.5, 2.2, 3.3)
+MIN_GAIN = 5.0      # of the log-likelihood, which noise alone hardly ever reaches
 
 
 class ModelError(NamedTuple):
     """
-    The error of a model where it was touched.
+    The error of a model in the area touched.
 
     sd : float, m, standard deviation along the normal
-    length : float, m, over which it is alike
-    noise : float, m, standard deviation of what is new with every point, relative precision 1
-    jacobian : (n, 6) float, of the residuals, less what the error of the model may explain of it
-    lost : (6, 6) float, what that takes from the information J^T W J
-    spread : (6, 6) float, covariance that it gives J^T W e, in units of the squared noise
-    residuals : (n,) float, m, at the pose that takes it for noise
+    length : float, m, correlation length
+    noise : float, m, standard deviation of the independent noise of a point of precision 1
+    jacobian : (n, 6) float, of the residuals, less the part that the model error may explain
+    information_loss : (6, 6) float, by which it reduces the information J^T W J
+    score_covariance : (6, 6) float, its contribution to the covariance of J^T W e, in units of the
+        squared noise
+    residuals : (n,) float, m, at the pose before it was allowed for
     """
 
     sd: float
     length: float
     noise: float
     jacobian: Array
-    lost: Array
-    spread: Array
+    information_loss: Array
+    score_covariance: Array
     residuals: Array
 
 
 class _Cells(NamedTuple):
     """
-    Points gathered where they lie along the bone: m cells.
+    Points grouped by their position along the bone, in m cells.
 
-    which : (n,) int, the cell of each point
+    which : (n,) int, cell of each point
     root : (m,) float, square root of the sum of the weights
-    J, e : (m, 6), (m,) float, weighted sums over that, of the one variance that noise has
-    apart : (m, m) float, m, between cells
-    within : float, m^2, weighted sum of the squares of what is left of the residuals in them
-    points : float, how many they hold
+    J, e : (m, 6), (m,) float, weighted sums divided by ``root``: their noise has equal variance
+    distance : (m, m) float, m, between cells
+    within : float, m^2, weighted sum of squares of the residuals about the cell means
+    points : float, sum of the weights
     """
 
     which: NDArray[np.intp]
     root: Array
     J: Array
     e: Array
-    apart: Array
+    distance: Array
     within: float
     points: float
 
@@ -78,45 +82,46 @@ class _Cells(NamedTuple):
 def find_model_error(x: Array, e: Array, J: Array, weight: Array,
                      precision: Array) -> ModelError | None:
     """
-    Return the error of the model that residuals speak of, or None if they are but noise.
+    Estimate the model error from residuals; return None if they contain only noise.
 
     Parameters
     ----------
     x : (n, 3) float, m, bone frame
         The points.
     e, J : (n,), (n, 6) float
-        Their residuals and the derivatives by the pose; J ends with the normal.
+        Their residuals and the derivatives by the pose; the last three columns are the normal.
     weight : (n,) float in [0, 1]
-        Whether they are on the bone.
+        Probability that a point is on the bone.
     precision : (n,) float
-        The mean noise over that of each.
+        Mean noise over the noise of each point.
 
     """
-    points = x - e[:, None] * J[:, 3:], e, J, weight, precision     # where they lie along the bone
-    cells = _gathered(*points, *FEW)
+    points = x - e[:, None] * J[:, 3:], e, J, weight, precision     # on the surface
+    cells = _group(*points, *COARSE)
     if cells is None or not cells.within > 0.0:
         return None
     scale = np.sqrt(np.maximum((cells.J**2).sum(axis=0), 1e-300))
     rows = np.concatenate([cells.J.T / scale[:, None], cells.e[None]])
-    ratio, length, noise = _most_likely(cells.apart, cells.root, rows, cells.within, cells.points)
-    cells = _gathered(*points, *MANY)
+    ratio, length, noise = _maximize_likelihood(cells.distance, cells.root, rows, cells.within,
+                                                cells.points)
+    cells = _group(*points, *FINE)
     if ratio == 0.0 or cells is None:
         return None
-    # V^-1 J, V = I + S the covariance of the means; the model's error is believed to be S V^-1 e
+    # V^-1 J, where V = I + S is the covariance of the means; the expected model error is S V^-1 e
     rest = cells.J.T.copy()
-    _solve(np.eye(len(cells.e)) + ratio**2 * _alike(cells.apart, cells.root, length), rest)
-    believed = cells.J - rest.T
-    explained = believed / cells.root[:, None]
+    _solve(np.eye(len(cells.e)) + ratio**2 * _matern(cells.distance, cells.root, length), rest)
+    expected = cells.J - rest.T
+    explained = expected / cells.root[:, None]
     return ModelError(ratio * noise, length, noise, J - explained[cells.which],
-                      cells.J.T @ believed, rest @ believed, e)
+                      cells.J.T @ expected, rest @ expected, e)
 
 
-def _gathered(x: Array, e: Array, J: Array, weight: Array, precision: Array, most: int,
-              in_each: int) -> _Cells | None:
-    """Return the cells of points ``x`` (n, 3) on the bone, or None if there are too few."""
+def _group(x: Array, e: Array, J: Array, weight: Array, precision: Array, max_cells: int,
+           per_cell: int) -> _Cells | None:
+    """Group points ``x`` (n, 3) in cells; return None if there are too few on the bone."""
     on = x[weight > 0.5]
-    count = min(most, len(on) // in_each)
-    if count < FEWEST:
+    count = min(max_cells, len(on) // per_cell)
+    if count < MIN_CELLS:
         return None
     which = cKDTree(on[farthest_point_sample(on, count)]).query(x)[1]
     w = weight * precision**2
@@ -125,27 +130,27 @@ def _gathered(x: Array, e: Array, J: Array, weight: Array, precision: Array, mos
         return np.asarray(np.bincount(which, w * v, count), dtype=np.float64)
     N, sums = total(np.ones(len(e))), total(e)
     within = float((w * (e - (sums / N)[which])**2).sum())
-    centres = np.stack([total(axis) for axis in x.T], axis=1) / N[:, None]
-    apart = np.sqrt(((centres[:, None] - centres)**2).sum(axis=2))
+    centroids = np.stack([total(axis) for axis in x.T], axis=1) / N[:, None]
+    distance = np.sqrt(((centroids[:, None] - centroids)**2).sum(axis=2))
     root = np.sqrt(N)
     return _Cells(which, root, np.stack([total(column) for column in J.T], axis=1) / root[:, None],
-                  sums / root, apart, within, float(weight.sum()))
+                  sums / root, distance, within, float(weight.sum()))
 
 
 @kernel
-def _most_likely(apart, root, rows, within, points):
+def _maximize_likelihood(distance, root, rows, within, points):
     """
-    Return the ratio of the model's error to the noise, 0 if there is none, its length, the noise.
+    Return the ratio of model error to noise (0 if there is none), its length, and the noise.
 
-    rows : (7, m) the columns of J, of any length, and e
-    within, points : what the residuals within the cells add up to, and how many there are
+    distance, root, within, points : as in `_Cells`
+    rows : (7, m) the columns of J, of any scale, and e
     """
     best, noise = _restricted_likelihood(np.eye(len(root)), rows.copy(), within, points)
-    best, found = best + GAIN, (0.0, 0.0, noise)
+    best, found = best + MIN_GAIN, (0.0, 0.0, noise)
     for length in LENGTHS:
-        alike, last = _alike(apart, root, length), -np.inf
+        correlation, last = _matern(distance, root, length), -np.inf
         for ratio in RATIOS:
-            V = np.eye(len(root)) + ratio * ratio * alike
+            V = np.eye(len(root)) + ratio * ratio * correlation
             likely, noise = _restricted_likelihood(V, rows.copy(), within, points)
             if likely > best:
                 best, found = likely, (ratio, length, noise)
@@ -156,12 +161,12 @@ def _most_likely(apart, root, rows, within, points):
 
 
 @kernel
-def _alike(apart, root, length):
-    """Return the Matern 3/2 correlation of cells (m, m), each times the root of its weight."""
-    S = np.empty(apart.shape)
+def _matern(distance, root, length):
+    """Return the Matern 3/2 correlation of cells (m, m), scaled by the roots of their weights."""
+    S = np.empty(distance.shape)
     for i in range(len(S)):
         for j in range(i + 1):
-            d = math.sqrt(3.0) * apart[i, j] / length
+            d = math.sqrt(3.0) * distance[i, j] / length
             S[i, j] = S[j, i] = (1.0 + d) * math.exp(-d) * root[i] * root[j]
     return S
 
@@ -169,29 +174,30 @@ def _alike(apart, root, length):
 @kernel
 def _restricted_likelihood(V, rows, within, points):
     """
-    Return its logarithm, but for a constant, and the noise at which it is highest.
+    Return the log-likelihood, up to a constant, and the noise that maximizes it.
 
-    V, rows : (m, m) covariance in units of the noise, (7, m) the columns of J and e; overwritten
+    V, rows : (m, m) covariance in units of the noise, (7, m) columns of J and e; both overwritten
     """
-    spread = _factor(V)
-    _forward(V, rows)
+    log_det_V = _factor(V)
+    _forward_substitute(V, rows)
     G = np.empty((7, 7))
     for i in range(7):
         for j in range(7):
             G[i, j] = (rows[i] * rows[j]).sum()
-    held = _factor(G)
-    # the last pivot is what of e no motion explains
+    log_det_G = _factor(G)
+    # the last pivot is the part of e that no motion explains
     squared = within + G[6, 6] * G[6, 6]
-    free = points - 6.0
-    held -= 2.0 * math.log(G[6, 6])
-    return -0.5 * (spread + held + free * math.log(squared / free)), math.sqrt(squared / free)
+    freedom = points - 6.0
+    log_det_G -= 2.0 * math.log(G[6, 6])
+    return (-0.5 * (log_det_V + log_det_G + freedom * math.log(squared / freedom)),
+            math.sqrt(squared / freedom))
 
 
 @kernel
 def _solve(V, rows):
-    """Replace each of ``rows`` (k, m) by V^-1 times it; ``V`` (m, m) is overwritten."""
+    """Replace each row r of ``rows`` (k, m) by V^-1 r; ``V`` (m, m) is overwritten."""
     _factor(V)
-    _forward(V, rows)
+    _forward_substitute(V, rows)
     for row in rows:
         for k in range(len(V) - 1, -1, -1):
             total = row[k]
@@ -205,7 +211,7 @@ def _factor(V):
     """
     Replace the upper triangle of ``V`` by U, V = U^T U (Cholesky); return log det V.
 
-    Here and not by a library, whose threads would decide on the last bits.
+    Not from a library: the last bits would depend on its threads.
     """
     m = len(V)
     log_det = 0.0
@@ -222,8 +228,8 @@ def _factor(V):
 
 
 @kernel
-def _forward(U, rows):
-    """Replace each of ``rows`` (k, m) by U^-T times it."""
+def _forward_substitute(U, rows):
+    """Replace each row r of ``rows`` (k, m) by U^-T r."""
     for row in rows:
         for k in range(len(U)):
             row[k] /= U[k, k]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The points nearest to each along the bone, at once or kept up while points come in."""
+"""Nearest neighbours of points along the bone surface, also for a growing set of points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gsdf_registration.field import Field
 # points whose mean residual tells bone from interference: more of them average out more noise,
 # fewer resolve smaller patches of interference
 NEIGHBOURS = 16
-FLATTENED = 0.75    # share of its distance to the bone that a point is moved to find neighbours
+PROJECTED = 0.75    # share of its distance to the bone by which a point is moved for the search
 
 
 def nearest_neighbours(points: Array, field: Field, T_bone_tracker: Array,
@@ -23,32 +23,32 @@ def nearest_neighbours(points: Array, field: Field, T_bone_tracker: Array,
     """
     Return indices (n, count) of the points nearest to each of ``points`` (n, 3), itself first.
 
-    Nearest along the bone: most of a point's distance to it is taken away first, or points would
-    be neighbours for having the same noise, and its mean over them no longer small.
+    Points are first moved most of the way onto the bone. Otherwise points with similar noise would
+    be neighbours, and the mean of their noise would not be small.
     """
-    return _nearest(_flattened(points, field, T_bone_tracker), count)
+    return _nearest(_projected(points, field, T_bone_tracker), count)
 
 
-def _flattened(points: Array, field: Field, T_bone_tracker: Array) -> Array:
-    """Return where points (n, 3), tracker frame, lie along the bone, bone frame."""
+def _projected(points: Array, field: Field, T_bone_tracker: Array) -> Array:
+    """Return points (n, 3), tracker frame, moved towards the bone surface, bone frame."""
     placed = rigid.transform(T_bone_tracker, points)
     distance, gradient = field.sample(placed)
-    return np.asarray(placed - FLATTENED * distance[:, None] * gradient)
+    return np.asarray(placed - PROJECTED * distance[:, None] * gradient)
 
 
 def _nearest(places: Array, count: int) -> NDArray[np.int64]:
-    """Return indices (n, count) of the places nearest to each of ``places`` (n, 3)."""
+    """Return indices (n, count) of the positions nearest to each of ``places`` (n, 3)."""
     nearest = cKDTree(places).query(places, k=min(count, len(places)))[1]
     return np.ascontiguousarray(nearest.reshape(len(places), -1), dtype=np.int64)
 
 
 class Neighbourhood:
     """
-    The `nearest_neighbours` of points that grow in number.
+    The `nearest_neighbours` of a growing set of points.
 
-    A point added is compared with all others, some 3 us for each thousand of them: far less than
-    to find all neighbours anew. The pose is that of the beginning; as it settles, by less than
-    strokes are apart, where points lie along the bone hardly changes.
+    A new point is compared with all others, about 3 us per thousand: much faster than a search for
+    all neighbours again. The pose stays the initial one: while it converges, it moves by less than
+    the distance between strokes, and the positions along the bone hardly change.
 
     Parameters
     ----------
@@ -56,17 +56,17 @@ class Neighbourhood:
     field : of the bone
     T_bone_tracker : (4, 4) float, metres
     count : int
-        Neighbours of each, itself included.
+        Neighbours of each point, including itself.
 
     """
 
     def __init__(self, points: Array, field: Field, T_bone_tracker: Array,
                  count: int = NEIGHBOURS) -> None:
         self._field, self._T_bone_tracker, self._count = field, T_bone_tracker, count
-        self._begin(_flattened(points, field, T_bone_tracker))
+        self._reset(_projected(points, field, T_bone_tracker))
 
-    def _begin(self, places: Array) -> None:
-        """Take these places and no others."""
+    def _reset(self, places: Array) -> None:
+        """Start again with these positions."""
         self._size, self._places = len(places), places
         self._nearest = _nearest(places, self._count)
         self._squared = ((places[self._nearest] - places[:, None])**2).sum(axis=2)
@@ -77,30 +77,30 @@ class Neighbourhood:
 
     @property
     def indices(self) -> NDArray[np.int64]:
-        """The points nearest to each, itself first: (n, count), valid until more are added."""
+        """Points nearest to each, itself first: (n, count), valid until points are added."""
         return self._nearest[:self._size]
 
     def add(self, points: Array) -> None:
         """Add ``points`` (m, 3), metres, tracker frame."""
-        places = _flattened(points, self._field, self._T_bone_tracker)
-        if self._size < self._count:    # so few that not even the shape of the table is final
-            self._begin(np.concatenate([self._places[:self._size], places]))
+        places = _projected(points, self._field, self._T_bone_tracker)
+        if self._size < self._count:    # the table still has fewer than `count` columns
+            self._reset(np.concatenate([self._places[:self._size], places]))
             return
-        wanted = self._size + len(places)
-        if wanted > len(self._places):
-            # room for as many again, so that growing takes next to no time on average
+        size = self._size + len(places)
+        if size > len(self._places):
+            # double the capacity, so that growing takes constant time per point on average
             self._places, self._nearest, self._squared = (
-                np.concatenate([held, np.empty((2 * wanted - len(held), *held.shape[1:]),
-                                               held.dtype)])
-                for held in (self._places, self._nearest, self._squared))
-        self._places[self._size:wanted] = places
-        _introduce(self._places, self._size, wanted, self._nearest, self._squared)
-        self._size = wanted
+                np.concatenate([rows, np.empty((2 * size - len(rows), *rows.shape[1:]),
+                                               rows.dtype)])
+                for rows in (self._places, self._nearest, self._squared))
+        self._places[self._size:size] = places
+        _add_points(self._places, self._size, size, self._nearest, self._squared)
+        self._size = size
 
 
 @kernel
-def _introduce(places, first, end, nearest, squared):
-    """Enter the points ``first`` .. ``end`` - 1 among the nearest of those before them."""
+def _add_points(places, first, end, nearest, squared):
+    """Fill the rows of points ``first`` to ``end`` - 1, and insert them into the rows before."""
     last = nearest.shape[1] - 1
     for new in range(first, end):
         x, y, z = places[new, 0], places[new, 1], places[new, 2]
@@ -110,16 +110,16 @@ def _introduce(places, first, end, nearest, squared):
             dx, dy, dz = places[old, 0] - x, places[old, 1] - y, places[old, 2] - z
             d = dx * dx + dy * dy + dz * dz
             if d < squared[old, last]:
-                _enter(nearest[old], squared[old], new, d)
+                _insert(nearest[old], squared[old], new, d)
             if d < squared[new, last]:
-                _enter(nearest[new], squared[new], old, d)
+                _insert(nearest[new], squared[new], old, d)
 
 
 @kernel
-def _enter(nearest, squared, point, d):
-    """Put ``point`` at squared distance ``d`` in its place; the farthest is left out."""
+def _insert(nearest, squared, point, d):
+    """Insert ``point`` at squared distance ``d`` into a sorted row; the farthest is dropped."""
     i = len(squared) - 1
-    while i > 1 and squared[i - 1] > d:     # a point itself stays first
+    while i > 1 and squared[i - 1] > d:     # the point itself stays first
         nearest[i], squared[i] = nearest[i - 1], squared[i - 1]
         i -= 1
     nearest[i], squared[i] = point, d

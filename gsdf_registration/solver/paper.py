@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The published method: Gauss-Newton, Cauchy IRLS, and discarding of what does not fit.
+The published method: Gauss-Newton with Cauchy IRLS that discards outliers.
 
 T. Li et al., "Partial-to-Full Registration based on Gradient-SDF for Computer-Assisted Orthopedic
-Surgery", arXiv 2410.03078, Algorithm 1.  Kept as published, for comparison: what it discards, it
-never takes back.
+Surgery", arXiv 2410.03078, Algorithm 1.  It is kept as published, for comparison: a discarded point
+is never used again.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import numpy as np
 
 from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.solver.gauss_newton import (
-    EXHAUSTED,
-    SETTLED,
+    CONVERGED,
+    MAX_ITERATIONS,
     SINGULAR,
     damp,
     linearize,
     normal_equations,
     solve_cholesky,
-    step_of,
+    step_lengths,
     update,
 )
 
-# The values of the paper, Algorithm 1
-DISCARD_BELOW = 0.1         # delta: a point of less weight is discarded
-WEIGHT_TOLERANCE = 1e-3     # epsilon: IRLS has converged when the weights change less (RMS)
-HOLD = 2                    # iterations in a row that must meet it
+# Parameters of Algorithm 1
+DISCARD_BELOW = 0.1         # delta: points of lower weight are discarded
+WEIGHT_TOLERANCE = 1e-3     # epsilon: IRLS has converged if the weights change less (RMS)
+HOLD = 2                    # number of consecutive iterations in which this must be met
 
 
 @kernel
@@ -36,39 +36,39 @@ def algorithm_1(field, points, R, t, keep, weight, e, J, history,
     """
     Run Algorithm 1 in place on ``R`` (3, 3), ``t`` (3,); return (termination, iterations).
 
-    ``keep`` (n,) bool loses the discarded points; ``weight``, ``e`` (n,) and ``J`` (n, 6) are left
-    at the pose returned.  ``history`` has a row for each iteration allowed.
+    ``keep`` (n,) bool is cleared for discarded points; ``weight``, ``e`` (n,) and ``J`` (n, 6) are
+    filled at the returned pose.  ``history`` has a row for each allowed iteration.
     """
     A = np.zeros((6, 6))
     size2 = (points * points).sum() / len(points)
     b = np.zeros(6)
     dx = np.zeros(6)
-    held = 0
+    met = 0
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
-        change = _reweigh(e, keep, weight, cauchy_scale)
+        change = _reweight(e, keep, weight, cauchy_scale)
         inliers = keep.sum()
-        # IRLS: the weights have settled when ||w_i - w_(i-1)|| <= epsilon
-        held = held + 1 if change <= weight_tolerance * weight_tolerance * inliers else 0
-        if held >= hold:
+        # IRLS has converged when ||w_i - w_(i-1)|| <= epsilon
+        met = met + 1 if change <= weight_tolerance * weight_tolerance * inliers else 0
+        if met >= hold:
             if _discard(keep, weight, discard_below) == 0:
-                return SETTLED, iteration
-            held = 0
+                return CONVERGED, iteration
+            met = 0
         history[iteration, 0] = normal_equations(J, e, weight, A, b)
         damp(A, history[iteration, 0], size2)
         history[iteration, 3] = inliers
         if not solve_cholesky(A, b, dx):
             return SINGULAR, iteration
         update(R, t, dx)
-        history[iteration, 1], history[iteration, 2] = step_of(dx)
+        history[iteration, 1], history[iteration, 2] = step_lengths(dx)
     linearize(field, points, R, t, keep, e, J)
-    _reweigh(e, keep, weight, cauchy_scale)
-    return EXHAUSTED, len(history)
+    _reweight(e, keep, weight, cauchy_scale)
+    return MAX_ITERATIONS, len(history)
 
 
 @kernel
-def _reweigh(e, keep, weight, c):
-    """Set w(e) = 1 / (1 + (e/c)^2), equations 9 and 13, c a length; return ||w_i - w_(i-1)||^2."""
+def _reweight(e, keep, weight, c):
+    """Set w(e) = 1 / (1 + (e/c)^2), equations 9 and 13, c in m; return ||w_i - w_(i-1)||^2."""
     change = 0.0
     for k in range(len(e)):
         if keep[k]:
@@ -81,7 +81,7 @@ def _reweigh(e, keep, weight, c):
 
 @kernel
 def _discard(keep, weight, delta):
-    """Drop the points with w < delta for good; return how many."""
+    """Permanently discard the points with w < delta; return how many."""
     dropped = 0
     for k in range(len(weight)):
         if keep[k] and weight[k] < delta:
