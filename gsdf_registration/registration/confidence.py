@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-How good a pose is: its covariance, the error to expect at a target, and the motion held least.
+The confidence in a pose: its covariance and the predicted TRE.
 
-All of it follows from one 6 x 6 matrix, the covariance of a small motion [rotation about m,
-translation] of the bone frame, m the centroid of the points: for a target q the motion is B_q [xi,
-phi] with B_q = [-(q - m)^, I].
+Both follow from the 6 x 6 covariance of a small motion [xi, phi] of the bone frame: a rotation xi
+about the centroid m of the points and a translation phi. A target q moves by B_q [xi, phi] with
+B_q = [-(q - m)^, I].
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as item
 
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
-from gsdf_registration.common.result import WeakestDirection
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.solver import Solution, nearest_neighbours
@@ -27,75 +25,65 @@ from gsdf_registration.solver import Solution, nearest_neighbours
 @dataclass(frozen=True)
 class Confidence:
     """
-    What the points say about the pose.
+    How well the points constrain the pose.
 
-    motion_covariance : (6, 6) float, of [rotation about ``centre`` (rad), translation (m)], bone
+    motion_covariance : (6, 6) float, of [rotation about ``centroid`` (rad), translation (m)], bone
         axes
-    centre : (3,) float, m, bone frame: the centroid of the points
+    centroid : (3,) float, m, bone frame, of the points
     sigma : float, m, noise of a point along the surface normal
-    pattern : float, how much more residuals of neighbours vary together than white noise would, at
-        the pose that takes them for that; 1 for the right bone and tracker
-    model_sd : float, m, standard deviation of the model's own error; 0 where none is seen
-    added : (6, 6) float, what that adds to the covariance
+    residual_correlation : float, variance of the mean residual of neighbouring points over that of
+        white noise; 1 for the correct bone and an accurate tracker
+    model_sd : float, m, standard deviation of the error of the model; 0 if none was found
+    model_covariance : (6, 6) float, the part of ``motion_covariance`` due to this error
     """
 
     motion_covariance: Array
-    centre: Array
+    centroid: Array
     sigma: float
-    pattern: float
+    residual_correlation: float
     model_sd: float = 0.0
-    added: Array = item(default_factory=lambda: np.zeros((6, 6)))
+    model_covariance: Array = item(default_factory=lambda: np.zeros((6, 6)))
 
     def predicted_tre(self, targets: Array) -> Array:
-        """Return the predicted TRE (n,) (RMS, m) at each of ``targets`` (n, 3), m, bone frame."""
+        """Return the predicted TRE (n,) (RMS, m) at ``targets`` (n, 3), m, bone frame."""
         C = self.motion_covariance
-        return _expected(C[3:, 3:], C[3:, :3], C[:3, :3], targets - self.centre)
+        return _expected_length(C[3:, 3:], C[3:, :3], C[:3, :3], targets - self.centroid)
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
         Return the (6, 6) pose covariance in REP-103 order: x y z rx ry rz, fixed axes, m and rad.
 
-        A motion D of the bone frame turns ``T_tracker_bone`` into T D^-1, so the origin moves by R
-        (xi x m - phi) and the attitude by -R xi.
+        A motion D of the bone frame changes ``T_tracker_bone`` into T D^-1: the origin moves by
+        R (xi x m - phi) and the orientation by -R xi.
         """
         R = T_tracker_bone[:3, :3]
         G = np.zeros((6, 6))
-        G[:3, :3], G[:3, 3:], G[3:, :3] = -R @ rigid.skew(self.centre), -R, -R
+        G[:3, :3], G[:3, 3:], G[3:, :3] = -R @ rigid.skew(self.centroid), -R, -R
         C = G @ self.motion_covariance @ G.T
         return np.asarray(0.5 * (C + C.T))
-
-    def weakest_direction(self, surface: Array, names: Mapping[str, Array]) -> WeakestDirection:
-        """
-        Return the motion that the data hold least, as a screw.
-
-        Least held is what moves the bone's surface (n, 3) most at one standard deviation: the
-        largest eigenvalue of C in the metric M = mean B_q^T B_q, which weighs radians against
-        metres as the bone's own size does.  ``names`` are points of the bone, m, to speak of it by.
-        """
-        B = motion_at(surface - self.centre)
-        B = B.reshape(-1, 6)
-        L = np.linalg.cholesky(3.0 * B.T @ B / len(B))
-        values, vectors = np.linalg.eigh(L.T @ self.motion_covariance @ L)
-        motion = np.linalg.solve(L.T, vectors[:, -1]) * np.sqrt(values[-1])
-        return _screw(motion, self.centre, surface, names)
 
 
 def predicted_tre(T_tracker_bone: Array, covariance: Array, points: Array) -> Array:
     """
-    Return the predicted TRE (n,) (RMS, m) at ``points`` (n, 3), m, bone frame, of a pose.
+    Return the predicted TRE (n,) (RMS, m) of a pose.
 
-    ``covariance`` (6, 6) is that of `Confidence.pose_covariance`: of the bone's origin (t) and its
-    attitude about fixed axes (r).
+    Parameters
+    ----------
+    T_tracker_bone : (4, 4) float, metres
+    covariance : (6, 6) float
+        As from `Confidence.pose_covariance`.
+    points : (n, 3) float, m, bone frame
+
     """
-    return _expected(covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:],
-                     points @ T_tracker_bone[:3, :3].T)
+    return _expected_length(covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:],
+                            points @ T_tracker_bone[:3, :3].T)
 
 
-def _expected(C_tt: Array, C_tr: Array, C_rr: Array, arms: Array) -> Array:
+def _expected_length(C_tt: Array, C_tr: Array, C_rr: Array, arms: Array) -> Array:
     """
-    Return the expected length (n,) (RMS) of t + r x a, r and t small with these covariances.
+    Return the expected length (n,) (RMS) of t + r x a, for small r and t of these covariances.
 
-    Its mean square is a quadratic in the ``arms`` a (n, 3), so that a whole surface takes no time.
+    The mean square is a quadratic form in the ``arms`` a (n, 3), which is fast for a whole surface.
     """
     t_cross_r = np.array([C_tr[1, 2] - C_tr[2, 1], C_tr[2, 0] - C_tr[0, 2],
                           C_tr[0, 1] - C_tr[1, 0]])
@@ -117,82 +105,91 @@ def motion_at(arms: Array) -> Array:
 
 def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> Confidence | None:
     """
-    Return the confidence of a solution, or None if its points do not hold the pose.
+    Return the confidence in a solution, or None if its points do not constrain the pose.
 
-    The covariance of an M-estimate (Huber 1981, section 6.3), H^-1 S H^-1 with H = sum psi' J J^T,
-    psi = w e, and S = sigma^2 sum w^2 J J^T the covariance of sum psi J; for plain least squares
-    the Cramer-Rao bound sigma^2 (J^T J)^-1.  Each row of J and its residual are divided by the
-    relative noise along its normal.  An error of the model that was allowed for takes from H and J
-    what it may explain, and adds to S.
+    The covariance is that of an M-estimate (Huber 1981, section 6.3), H^-1 S H^-1 with
+    H = sum psi' J J^T, psi = w e, and S = sigma^2 sum w^2 J J^T the covariance of sum psi J. For
+    plain least squares it is the Cramer-Rao bound sigma^2 (J^T J)^-1. Each row of J and its
+    residual are divided by the relative noise along its normal. If the solution allows for an error
+    of the model, the part that this error may explain is subtracted from H and J and added to S.
 
     Parameters
     ----------
-    solution : of a solver
-    points : (n, 3) float, metres, tracker frame, its points
-    neighbours : (n, k) int, the points nearest to each, over which residuals are averaged
+    solution : Solution
+    points : (n, 3) float, metres, tracker frame
+        The points of the solution.
+    neighbours : (n, k) int
+        The points nearest to each point, over which residuals are averaged.
 
     """
-    alone, error = _from_noise(solution), solution.model_error
-    if alone is None:
+    noise, error = _noise_covariance(solution), solution.model_error
+    if noise is None:
         return None
     if error is None:
-        pattern = _together(solution.weights, solution.residuals, neighbours)
-        return _confidence(solution, points, alone, pattern, 0.0, np.zeros((6, 6)))
-    both = _covariance(solution, error.jacobian, error.noise**2, error.lost, error.spread)
-    if both is None:
+        correlation = _residual_correlation(solution.weights, solution.residuals, neighbours)
+        return _confidence(solution, points, noise, correlation, 0.0, np.zeros((6, 6)))
+    total = _covariance(solution, error.jacobian, error.noise**2, error.information_loss,
+                        error.score_covariance)
+    if total is None:
         return None
-    pattern = _together(solution.weights, error.residuals, neighbours)
-    return _confidence(solution, points, alone, pattern, error.sd, both - alone)
+    correlation = _residual_correlation(solution.weights, error.residuals, neighbours)
+    return _confidence(solution, points, noise, correlation, error.sd, total - noise)
 
 
 def assess_at(solution: Solution, points: Array, field: Field,
               config: SolverConfig) -> Confidence | None:
-    """Return `assess` over the points nearest to each along the bone."""
-    around = nearest_neighbours(points, field, solution.T_bone_tracker)
-    return assess(solution, points, around)
+    """Return `assess` with the nearest neighbours of each point on the bone."""
+    neighbours = nearest_neighbours(points, field, solution.T_bone_tracker)
+    return assess(solution, points, neighbours)
 
 
-def reassess(before: Confidence, solution: Solution, points: Array) -> Confidence | None:
+def reassess(previous: Confidence, solution: Solution, points: Array) -> Confidence | None:
     """
-    Return the confidence of a solution with a few more points than one ``before``.
+    Return the confidence in a solution with a few more points than a ``previous`` one.
 
-    How much residuals vary together, and what an error of the model adds, is taken from there: that
-    takes the most time and hardly changes.
+    The residual correlation and the error of the model are copied from there: they take most of the
+    time and hardly change.
     """
-    alone = _from_noise(solution)
-    if alone is None:
+    noise = _noise_covariance(solution)
+    if noise is None:
         return None
-    return _confidence(solution, points, alone, before.pattern, before.model_sd, before.added)
+    return _confidence(solution, points, noise, previous.residual_correlation, previous.model_sd,
+                       previous.model_covariance)
 
 
-def _confidence(solution: Solution, points: Array, alone: Array, pattern: float, model_sd: float,
-                added: Array) -> Confidence:
-    """Return the confidence with the covariance of noise ``alone``, and what is ``added`` to it."""
+def _confidence(solution: Solution, points: Array, noise: Array, correlation: float,
+                model_sd: float, model_covariance: Array) -> Confidence:
+    """Return the confidence with the covariances due to ``noise`` and to an error of the model."""
     w, e = solution.weights, np.nan_to_num(solution.residuals)
-    centre = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
+    centroid = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
     sigma = float(np.sqrt((w * e**2).sum() / w.sum()))
-    return Confidence(alone + added, centre, sigma, pattern, model_sd, added)
+    return Confidence(noise + model_covariance, centroid, sigma, correlation, model_sd,
+                      model_covariance)
 
 
-def _from_noise(solution: Solution) -> Array | None:
-    """Return the covariance of `assess` as if the model had no error."""
+def _noise_covariance(solution: Solution) -> Array | None:
+    """Return the covariance of `assess` without an error of the model."""
     w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
     variance = solution.model_error.noise**2 if solution.model_error is not None else float(
         ((w * p * e) ** 2).sum() / max((w**2).sum(), 1e-300))
     return _covariance(solution, solution.jacobian, variance)
 
 
-def _covariance(solution: Solution, jacobian: Array, variance: float, lost: Array | float = 0.0,
-                spread: Array | float = 0.0) -> Array | None:
+def _covariance(solution: Solution, jacobian: Array, variance: float,
+                information_loss: Array | float = 0.0,
+                score_covariance: Array | float = 0.0) -> Array | None:
     """
-    Return the covariance of `assess`, or None if the points do not hold the pose.
+    Return the covariance of `assess`, or None if the points do not constrain the pose.
 
     Parameters
     ----------
-    solution : of a solver
-    jacobian : (n, 6) float, J, less what an error of the model may explain
-    variance : float, m^2, of a point's noise
-    lost, spread : (6, 6) float, what such an error takes from H and adds to S / sigma^2
+    solution : Solution
+    jacobian : (n, 6) float
+        J without the part that an error of the model may explain.
+    variance : float, m^2
+        Of the noise of a point.
+    information_loss, score_covariance : (6, 6) float
+        Due to this error: subtracted from H, and added to S / sigma^2.
 
     """
     used = solution.weights > 0.0
@@ -200,63 +197,33 @@ def _covariance(solution: Solution, jacobian: Array, variance: float, lost: Arra
     if w.sum() < 6.0:
         return None
     J = precision * solution.jacobian[used]
-    certain = (J.T * w) @ J - lost
+    certain = (J.T * w) @ J - information_loss
     J = precision * jacobian[used]
-    # where a few points of doubt hold the pose, what they take away may be more than there is;
-    # then they count for nothing
+    # where only a few doubtful points constrain the pose, their negative curvature may outweigh the
+    # information; then it is ignored
     for curvature in (solution.curvature[used], np.clip(solution.curvature[used], 0.0, None)):
         H = certain - (J.T * (w - curvature)) @ J
-        if _holds(H):
+        if _has_full_rank(H):
             break
     else:
         return None
     scale = np.sqrt(np.diag(H))
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
-    return np.asarray(variance * H_inverse @ ((J.T * w**2) @ J + spread) @ H_inverse)
+    return np.asarray(variance * H_inverse @ ((J.T * w**2) @ J + score_covariance) @ H_inverse)
 
 
-def _holds(H: Array) -> bool:
-    """Tell whether an information matrix (6, 6) holds all six motions, whatever their units."""
+def _has_full_rank(H: Array) -> bool:
+    """Return whether an information matrix (6, 6) constrains all motions, in any unit."""
     if not np.all(np.diag(H) > 0.0):
         return False
     scale = np.sqrt(np.diag(H))
-    held = np.linalg.eigvalsh(H / np.outer(scale, scale))
-    return bool(held[0] >= 1e-10 * held[-1])
+    eigenvalues = np.linalg.eigvalsh(H / np.outer(scale, scale))
+    return bool(eigenvalues[0] >= 1e-10 * eigenvalues[-1])
 
 
-def _together(w: Array, residuals: Array, neighbours: NDArray[np.int64]) -> float:
-    """Return the mean of (sum w) m^2 / s^2, m the mean residual of neighbours; of noise it is 1."""
+def _residual_correlation(w: Array, residuals: Array, neighbours: NDArray[np.int64]) -> float:
+    """Return the mean of (sum w) m^2 / s^2, m the mean residual of neighbours; 1 for noise."""
     e, around = np.nan_to_num(residuals), w[neighbours]
     count = np.maximum(around.sum(axis=1), 1e-9)
     mean = (around * e[neighbours]).sum(axis=1) / count
     return float((w * count * mean**2).sum() / max((w * e**2).sum(), 1e-300))
-
-
-def _screw(motion: Array, centre: Array, surface: Array, names: Mapping[str,
-                                                                        Array]) -> WeakestDirection:
-    """Return the screw of a motion [xi, phi] about ``centre``, with its sentence."""
-    xi, phi = motion[:3], motion[3:]
-    angle = float(np.linalg.norm(xi))
-    radius = float(np.sqrt(((surface - centre) ** 2).sum(axis=1).mean()))
-    turns = angle * radius > 0.2 * np.linalg.norm(phi)
-    direction = xi / angle if turns else phi / np.linalg.norm(phi)
-    point = centre + np.cross(xi, phi) / angle**2 if turns else centre
-    pitch = float(xi @ phi) / angle**2 if turns else float('inf')
-    along = _direction_words(direction, surface)
-    near = min(names, key=lambda name: float(np.linalg.norm(names[name] - point)), default=None)
-    place = f'near {near}' if near else 'through ({:.0f}, {:.0f}, {:.0f}) mm'.format(*1e3 * point)
-    if turns:
-        sentence = (f'least held is a rotation about the axis {place} along {along}: '
-                    f'{np.degrees(angle):.2f} deg (1 SD)')
-    else:
-        sentence = (f'least held is sliding along {along}: '
-                    f'{1e3 * np.linalg.norm(phi):.2f} mm (1 SD)')
-    return WeakestDirection(direction, point, pitch, angle, float(np.linalg.norm(phi)), sentence)
-
-
-def _direction_words(direction: Array, surface: Array) -> str:
-    """Name a direction: the bone's long axis if it is that, else components in the bone frame."""
-    _, spread, axes = np.linalg.svd(surface - surface.mean(axis=0), full_matrices=False)
-    if spread[0] > 2.0 * spread[1] and abs(axes[0] @ direction) > np.cos(np.radians(15.0)):
-        return "the bone's long axis"
-    return '({:.2f}, {:.2f}, {:.2f}) of the bone frame'.format(*direction)
