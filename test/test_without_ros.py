@@ -23,7 +23,7 @@ class NoRos:
 sys.meta_path.insert(0, NoRos())
 """
 # The only rooms that know ROS.
-WITH_ROS = ('gsdf_registration.node', 'msg_adapters.ros')
+WITH_ROS = ('gsdf_registration.node', 'msg_adapters.results', 'msg_adapters.ros')
 # Scripts that run in the environments of other libraries.
 ELSEWHERE = ('benchmarks.peers.workers.',)
 
