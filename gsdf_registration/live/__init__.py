@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pose that is kept up while points come in."""
+"""A registration that is updated while points arrive."""
 
-from gsdf_registration.live.live import Job, LivePose, LiveRegistration, LiveStatus
+from gsdf_registration.live.live_registration import LivePose, LiveRegistration, LiveStatus
 
-__all__ = ['Job', 'LivePose', 'LiveRegistration', 'LiveStatus']
+__all__ = ['LivePose', 'LiveRegistration', 'LiveStatus']

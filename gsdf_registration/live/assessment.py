@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A look at all points held: what is the pose, what speaks against it, what would help."""
+"""The full assessment: the pose from all points, the reasons to reject it, and what would help."""
 
 from __future__ import annotations
 
@@ -18,36 +18,44 @@ from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
 from gsdf_registration.live.warm_pose import WarmPose
-from gsdf_registration.registration.acceptance import Candidate, describe, rejection_reasons
+from gsdf_registration.registration.acceptance import rejection_reasons
+from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
-from gsdf_registration.registration.pipeline import attempt, check_points
+from gsdf_registration.registration.input_checks import check_points
+from gsdf_registration.registration.pipeline import find_candidates
 from gsdf_registration.registration.pose_selection import SelectedPose
 from gsdf_registration.registration.stroke_report import StrokeReport, report
 from gsdf_registration.solver import Solution
 
-SEEN = 2    # times the points used that are looked at, or it would take ever longer
-Rows = NDArray[np.int64]
-# All that may speak against a pose that is shown; of one that was followed for a while, it is for a
-# search to say whether it fits the model too badly, for that hangs on which points are used.
-LOOSE = Reason.UNDER_CONSTRAINED
+Indices = NDArray[np.int64]
+
+# The filter of isolated points considers at most this many times `live.max_points` points: its cost
+# would otherwise grow with the session.
+FILTER_FACTOR = 2
+
+# Reasons that do not prevent a pose from being shown. The reason `model_mismatch` depends on which
+# points are used, so a pose that is followed is rejected for it only by a search.
+TOLERATED_AFTER_SEARCH = {Reason.UNDER_CONSTRAINED}
+TOLERATED_WHILE_FOLLOWING = {Reason.UNDER_CONSTRAINED, Reason.MODEL_MISMATCH}
 
 
 @dataclass(frozen=True)
 class FullAssessment:
     """
-    What was found.
+    The result of a full assessment.
 
-    points : all that were held
-    on_strokes : int, how many of them count
-    used : int, how many of these the pose was found from
-    searched : bool, whether the bone was searched for, not only followed
-    rejection_reasons : what `register` would say against the pose, the gravest first
-    predicted_tre_m : as of a `RegistrationResult`; empty without a pose
-    pose : to be followed from here on; None if there is none
-    T_tracker_bone, covariance : (4, 4), (6, 6), of the pose as it was found; None unless it is
-        trusted, that is held too loosely at worst
+    points : all points
+    on_strokes : int, number of them on strokes
+    used : int, number of these used for the pose
+    searched : bool, whether the bone was searched and not only followed
+    rejection_reasons : for which `register` would reject the pose, most severe first
+    predicted_tre_m : as in `RegistrationResult`; empty without a pose
+    pose : to follow from here on; None if there is none
+    T_tracker_bone, covariance : (4, 4), (6, 6), of the pose; None unless it is trusted
     residuals_m, weights : (n,) float, of the points; empty unless the pose is trusted
-    strokes : a report of each; none unless the pose is trusted
+    stroke_reports : one per stroke; empty unless the pose is trusted
+
+    A pose is trusted if no reason speaks against it, except that more points are needed.
     """
 
     points: Points
@@ -61,7 +69,7 @@ class FullAssessment:
     covariance: Array | None = None
     residuals_m: Array = item(default_factory=lambda: np.zeros(0))
     weights: Array = item(default_factory=lambda: np.zeros(0))
-    strokes: tuple[StrokeReport, ...] = ()
+    stroke_reports: tuple[StrokeReport, ...] = ()
 
     @property
     def trusted(self) -> bool:
@@ -70,107 +78,137 @@ class FullAssessment:
 
     @property
     def rejection_reason(self) -> Refusal | None:
-        """The one to speak of, the gravest."""
+        """The most severe rejection reason."""
         return next(iter(self.rejection_reasons), None)
 
     @property
-    def touches(self) -> tuple[NextTouch, ...]:
-        """Where to touch next, best first: what is seen is what is spoken of."""
+    def next_touches(self) -> tuple[NextTouch, ...]:
+        """Where to touch next, best first: the places that the most severe reason names."""
         return () if self.rejection_reason is None else self.rejection_reason.next_touches
 
 
-def survey(points: Points, field: Field, config: Config, before: Solution | None,
-           search_from: float, guess: Array | None, last: tuple[Refusal, ...],
-           cancelled: Callable[[], bool]) -> FullAssessment:
+def assess_all_points(points: Points, field: Field, config: Config, previous: Solution | None,
+                      search_threshold: float, guess: Array | None,
+                      previous_reasons: tuple[Refusal, ...],
+                      cancelled: Callable[[], bool]) -> FullAssessment:
     """
-    Look at all points.
+    Return a full assessment of all points.
 
     Parameters
     ----------
     points : Points
     field : of the bone
     config : Config
-    before : Solution, optional
-        To follow, unless the bone is searched for.
-    search_from : float
-        With so many points on strokes, or more, the bone is searched for.
+    previous : Solution, optional
+        To follow, unless the bone is searched.
+    search_threshold : float
+        The bone is searched if at least this many points are on strokes.
     guess : (4, 4) float, optional
-        T_bone_tracker, where it is searched for first.
-    last : of Refusal
-        What is said while there is nothing to follow.
-    cancelled : asked now and then; a true answer ends the work
+        T_bone_tracker; the search starts here.
+    previous_reasons : of Refusal
+        Result if there is neither a search nor a pose to follow.
+    cancelled : callable
+        Called repeatedly; if it returns True, the assessment stops.
 
     Raises
     ------
     Cancelled
 
     """
-    positions = points.positions
     try:
-        check_points(positions, field, config.limits)
+        check_points(points.positions, field, config.limits)
     except Refusal as refusal:
         return FullAssessment(points, rejection_reasons=(refusal,))
-    rows = evenly(np.arange(len(positions)), SEEN * config.live.max_points)
-    seen = positions[rows]
-    dense = np.flatnonzero(filter_isolated(seen))
-    count = len(dense) * len(positions) // len(rows)
-    chosen = evenly(dense, config.live.max_points)
-    searched = count >= search_from
+    selection = _select(points.positions, config.live.max_points)
+    considered, used = selection.considered, selection.used
+    searched = selection.on_strokes >= search_threshold
     if searched:
-        found, against = _searched(seen[dense], field, config, guess, cancelled)
-        pose = WarmPose(seen[chosen], field, found.choice.solution, config)
-        pose.confidence = found.confidence
-    elif before is not None:
-        pose, found, against = _followed(seen[chosen], field, config, before)
+        dense = points.positions[considered][selection.dense]
+        candidate, reasons = _search(dense, field, config, guess, cancelled)
+        pose = WarmPose(points.positions[considered][used], field, candidate.solution, config)
+        pose.confidence = candidate.confidence
+    elif previous is not None:
+        pose, candidate, reasons = _follow(points.positions[considered][used], field, config,
+                                           previous)
     else:
-        return FullAssessment(points, count, rejection_reasons=last)
-    tre = found.known.get('predicted_tre_m', {})
-    known = FullAssessment(points, count, len(chosen), searched, against, tre, pose)
-    may_be_said = (LOOSE,) if searched else (LOOSE, Reason.MODEL_MISMATCH)
-    if found.confidence is None or any(no.reason not in may_be_said for no in against):
-        # a search may find it elsewhere; what was followed may be off for a moment
-        return replace(known, pose=None) if searched else known
-    # a point that was thinned out is on the bone if the one next to it is
-    weights = np.zeros(len(seen))
-    weights[dense] = pose.solution.weights[_last_of(chosen, dense)]
-    weights = weights[_last_of(rows, np.arange(len(positions)))]
-    residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, positions))[0]
-    return replace(known, T_tracker_bone=pose.T_tracker_bone, covariance=pose.covariance,
+        return FullAssessment(points, selection.on_strokes, rejection_reasons=previous_reasons)
+    found = FullAssessment(points, selection.on_strokes, len(used), searched, reasons,
+                           candidate.predicted_tre_m, pose)
+    tolerated = TOLERATED_AFTER_SEARCH if searched else TOLERATED_WHILE_FOLLOWING
+    if candidate.confidence is None or any(each.reason not in tolerated for each in reasons):
+        # after a search there is nothing to follow; a followed pose may recover with more points
+        return replace(found, pose=None) if searched else found
+    weights = selection.weights_of_all(pose.solution.weights)
+    residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points.positions))[0]
+    return replace(found, T_tracker_bone=pose.T_tracker_bone, covariance=pose.covariance,
                    residuals_m=residuals, weights=weights,
-                   strokes=tuple(report(points, residuals, weights)))
+                   stroke_reports=tuple(report(points, residuals, weights)))
 
 
-def evenly(rows: Rows, most: int) -> Rows:
-    """Return ``rows`` (n,), or ``most`` of them, spread evenly from the first to the last."""
-    if len(rows) <= most:
+@dataclass(frozen=True)
+class _Selection:
+    """
+    Which of n points an assessment uses.
+
+    count : int, n
+    considered : (c,), rows of the points, evenly spread
+    dense : (d,), indices into ``considered`` of the points on strokes
+    used : (u,), indices into ``considered`` of the points used, evenly spread over ``dense``
+    """
+
+    count: int
+    considered: Indices
+    dense: Indices
+    used: Indices
+
+    @property
+    def on_strokes(self) -> int:
+        """Estimated number of points on strokes among all points."""
+        return len(self.dense) * self.count // len(self.considered)
+
+    def weights_of_all(self, weights: Array) -> Array:
+        """Return weights (n,) from those of the points used, (u,): each as its predecessor."""
+        considered = np.zeros(len(self.considered))
+        considered[self.dense] = weights[_predecessors(self.used, self.dense)]
+        return np.asarray(considered[_predecessors(self.considered, np.arange(self.count))])
+
+
+def _select(positions: Array, max_points: int) -> _Selection:
+    """Return the selection of at most ``max_points`` points on strokes."""
+    considered = evenly_spread(np.arange(len(positions)), FILTER_FACTOR * max_points)
+    dense = np.flatnonzero(filter_isolated(positions[considered]))
+    return _Selection(len(positions), considered, dense, evenly_spread(dense, max_points))
+
+
+def evenly_spread(rows: Indices, limit: int) -> Indices:
+    """Return ``rows`` (n,), or ``limit`` of them, evenly spread from the first to the last."""
+    if len(rows) <= limit:
         return rows
-    return np.asarray(rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)])
+    return np.asarray(rows[np.linspace(0, len(rows) - 1, limit).astype(np.int64)])
 
 
-def _last_of(some: Rows, rows: Rows) -> Rows:
-    """Return the place in ``some``, rising, of the last that does not come after each of rows."""
-    return np.asarray(np.searchsorted(some, rows, side='right') - 1)
+def _predecessors(subset: Indices, rows: Indices) -> Indices:
+    """Return, for each row, the index into ``subset``, rising, of the last row not after it."""
+    return np.asarray(np.searchsorted(subset, rows, side='right') - 1)
 
 
-def _searched(used: Array, field: Field, config: Config, guess: Array | None,
-              cancelled: Callable[[], bool]) -> tuple[Candidate, tuple[Refusal, ...]]:
-    """Do what `register` does, on one thread: the others have points to take in meanwhile."""
+def _search(points: Array, field: Field, config: Config, guess: Array | None,
+            cancelled: Callable[[], bool]) -> tuple[Candidate, tuple[Refusal, ...]]:
+    """Run the pipeline like `register`, on one thread: the other cores receive points."""
     config = config.replaced({'search.threads': 1})
-    every = np.ones(len(used), dtype=bool)
-    for start in (None,) if guess is None else (guess, None):
-        found = attempt(used, every, start, field, config, cancelled)
-        against = tuple(rejection_reasons(found, used, field, config))
-        if all(no.reason is LOOSE for no in against):
+    for candidate in find_candidates(points, field, config, guess, cancelled=cancelled):
+        reasons = tuple(rejection_reasons(candidate, points, field, config))
+        if {each.reason for each in reasons} <= TOLERATED_AFTER_SEARCH:
             break
-    return found, against
+    return candidate, reasons
 
 
-def _followed(used: Array, field: Field, config: Config,
-              before: Solution) -> tuple[WarmPose, Candidate, tuple[Refusal, ...]]:
-    """Solve from a pose found before."""
-    pose = WarmPose(used, field, before, config)
-    pose.confidence = assess_at(pose.solution, used, field, config.solver)
-    residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, used))[0]
-    found = describe(SelectedPose(pose.solution, residuals, []), pose.confidence,
-                     np.ones(len(used), dtype=bool), field, config)
-    return pose, found, tuple(rejection_reasons(found, used, field, config))
+def _follow(points: Array, field: Field, config: Config,
+            previous: Solution) -> tuple[WarmPose, Candidate, tuple[Refusal, ...]]:
+    """Solve from a previous solution and assess the result."""
+    pose = WarmPose(points, field, previous, config)
+    pose.confidence = assess_at(pose.solution, points, field, config.solver)
+    residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points))[0]
+    candidate = assess_candidate(SelectedPose(pose.solution, residuals, []), pose.confidence,
+                                 points, field, config)
+    return pose, candidate, tuple(rejection_reasons(candidate, points, field, config))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pose that follows as points are added: each time a warm solve, within a millisecond."""
+"""A pose that is updated as points are added, by a warm-started solve in about a millisecond."""
 
 from __future__ import annotations
 
@@ -13,37 +13,39 @@ from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import Confidence, reassess
 from gsdf_registration.solver import Neighbourhood, Solution, allow_for_model_error, refine
 
-MOVED = 0.003   # m: farther from where they were found, neighbours are others
-FEW = 0.002     # share of the points that moves nothing, and need not be solved for
+# m; after a larger motion of a point the neighbourhoods are computed again
+NEIGHBOURHOOD_TOLERANCE = 0.003
+# New points that are a smaller share of all points than this wait for more before the next solve
+MIN_NEW_SHARE = 0.002
 CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T     # of a box: low or high in each axis
 
 
 class WarmPose:
     """
-    The pose of some points, and then of more.
+    A solution that is refined as points are added.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, tracker frame, on strokes
     field : of the bone
-    solution : of these points, or of nearly these
+    solution : of these points, or of most of them
     config : Config
 
     """
 
     def __init__(self, points: Array, field: Field, solution: Solution, config: Config) -> None:
         self.points, self.solution = points, solution
-        self.confidence: Confidence | None = None   # to be found by `assess` once in a while
+        self.confidence: Confidence | None = None   # set by a full assessment, then updated
         self._field, self._config = field, config
-        self._held = points
-        self._settle()
+        self._cloud = points        # with the isolated points added since
+        self._restart()
 
-    def _settle(self) -> None:
-        """Find all neighbours at the present pose, and solve."""
+    def _restart(self) -> None:
+        """Compute all neighbourhoods at the present pose, and solve."""
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         self._corners = np.array([low, high])[CORNERS, [0, 1, 2]]
-        self._T_of_neighbours = self.solution.T_bone_tracker
-        self._neighbourhood = Neighbourhood(self.points, self._field, self._T_of_neighbours)
+        self._T_at_restart = self.solution.T_bone_tracker
+        self._neighbourhood = Neighbourhood(self.points, self._field, self._T_at_restart)
         self._solve(reuse_correction=False)
         self.solution = allow_for_model_error(self.solution, self.points)
 
@@ -53,41 +55,40 @@ class WarmPose:
 
     def add(self, points: Array) -> None:
         """
-        Take in new points (m, 3), m, tracker frame.
+        Add points (m, 3), m, tracker frame.
 
-        Points without neighbours are left out, as `density.on_strokes` would leave them; so are
-        those beyond ``live.max_points``.  Both have their turn when all points are looked at again.
-        A few among many wait for others before it is solved again.
+        Isolated points and those beyond ``live.max_points`` are not used; the next full assessment
+        considers them again.
         """
-        self._held = np.concatenate([self._held, points])
+        self._cloud = np.concatenate([self._cloud, points])
         room = max(self._config.live.max_points - len(self.points), 0)
-        joining = points[has_neighbours(points, self._held)][:room]
-        if not len(joining):
+        new = points[has_neighbours(points, self._cloud)][:room]
+        if not len(new):
             return
-        self.points = np.concatenate([self.points, joining])
-        self._neighbourhood.add(joining)
-        if len(self.points) - len(self.solution.weights) < FEW * len(self.points):
+        self.points = np.concatenate([self.points, new])
+        self._neighbourhood.add(new)
+        if len(self.points) - len(self.solution.weights) < MIN_NEW_SHARE * len(self.points):
             return
         self._solve(reuse_correction=True)
-        if self._moved() > MOVED:
-            self._settle()
+        if self._motion() > NEIGHBOURHOOD_TOLERANCE:
+            self._restart()
         if self.confidence is not None:
             self.confidence = reassess(self.confidence, self.solution, self.points)
 
-    def _moved(self) -> float:
-        """Return by how much the points have moved since their neighbours were found, m (most)."""
-        motion = self.solution.T_bone_tracker - self._T_of_neighbours
+    def _motion(self) -> float:
+        """Return the largest motion of a point since the neighbourhoods were computed, m."""
+        motion = self.solution.T_bone_tracker - self._T_at_restart
         moved = self._corners @ motion[:3, :3].T + motion[:3, 3]
         return float(np.sqrt((moved**2).sum(axis=1).max()))
 
     @property
     def T_tracker_bone(self) -> Array:
-        """The pose of the bone (4, 4), m."""
+        """Pose of the bone (4, 4), m."""
         return rigid.inverse(self.solution.T_bone_tracker)
 
     @property
     def covariance(self) -> Array | None:
-        """Its covariance (6, 6), REP-103 order; None if the points do not hold the pose."""
+        """Covariance (6, 6), REP-103 order; None if the points do not constrain the pose."""
         if self.confidence is None:
             return None
         return self.confidence.pose_covariance(self.T_tracker_bone)

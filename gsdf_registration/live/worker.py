@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Drives the live registration: what takes time runs on two threads beside the executor.
+Runs the live registration on two threads.
 
-One follows the points and publishes ``~/live_pose``; it waits for an event that the executor sets
-with every point. The other looks at all points at a calm rate, and now and then searches.
+The first waits for points, follows them and reports the pose. The second runs the full assessments.
 """
 
 from __future__ import annotations
@@ -14,222 +13,250 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.result import Cancelled, Refusal
+from gsdf_registration.common.result import Cancelled, Refusal, RegistrationResult
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
-from gsdf_registration.live import Job, LivePose, LiveRegistration, LiveStatus
 from gsdf_registration.live.assessment import FullAssessment
-from gsdf_registration.node.outputs import Outputs
-from gsdf_registration.registration.pipeline import first_guess
-from gsdf_registration.session import Session
+from gsdf_registration.live.live_registration import (
+    AssessmentJob,
+    LivePose,
+    LiveRegistration,
+    LiveStatus,
+)
+from gsdf_registration.registration.input_checks import initial_guess
 
-if TYPE_CHECKING:
-    from gsdf_registration.node.node import RegistrationNode
+# Hz, of the live pose. A follow step takes about 1 ms, so this leaves the other threads their time;
+# points that arrive faster share a step.
+MAX_RATE = 100.0
+# Hz, of the full assessments, and so of status and markers: fast enough for an operator to read,
+# and each takes up to a second of one core.
+ASSESSMENT_RATE = 2.0
+# s between two searches, each about 0.6 s of one core. After an undo the search does not wait.
+SEARCH_INTERVAL = 2.0
+STOP_TIMEOUT = 0.5      # s
 
-# s from one search to the next at least; each takes some 0.6 s of one core. An undo need not wait.
-SEARCH_EVERY = 2.0
-STOPPED = 0.5       # s that a thread may take to stop
 
-Order = Callable[[LiveRegistration], None]
-
-
-class Live:
-    """Keeps a pose up for a node, from `start` to `stop`; the executor may call it in any state."""
-
-    def __init__(self, node: RegistrationNode) -> None:
-        self._node = node
-        self._pursuit: LiveWorker | None = None
+class SourceStatus(Protocol):
+    """The part of a session's status that the worker reads."""
 
     @property
-    def status(self) -> LiveStatus:
-        """How it stands."""
-        return LiveStatus() if self._pursuit is None else self._pursuit.status
+    def pose_result(self) -> RegistrationResult | None:
+        """The accepted registration."""
 
-    def start(self, session: Session, field: Field | None, config: Config) -> None:
-        """Follow the points of a session from now on, if that is wanted and there is a bone."""
-        self.stop()
-        outputs = self._node.outputs
-        if config.live.enabled and field is not None and outputs is not None:
-            self._pursuit = LiveWorker(self._node, outputs, session, field, config)
+    @property
+    def pose_frame_id(self) -> str:
+        """Frame of its pose."""
 
-    def stop(self) -> None:
-        """Stop within half a second; what is being looked at is given up."""
-        if self._pursuit is not None:
-            self._pursuit.stop()
-        self._pursuit = None
 
-    def wake(self) -> None:
-        """Tell that points have come in, or that anything else has changed; takes microseconds."""
-        if self._pursuit is not None:
-            self._pursuit.wake()
+class PointSource(Protocol):
+    """Where the points come from: a session. Called from both threads."""
 
-    def configure(self, config: Config) -> None:
-        """Work by these settings from now on."""
-        if self._pursuit is not None:
-            self._pursuit.order(lambda live: live.configure(config))
+    @property
+    def config(self) -> Config:
+        """Settings in use."""
 
-    def registered(self, success: bool) -> None:
-        """Tell that a registration was asked for, and whether it gave a pose."""
-        if self._pursuit is not None:
-            self._pursuit.order(lambda live: live.registered(success))
+    @property
+    def revision(self) -> int:
+        """Changes whenever points are dropped or replaced."""
+
+    @property
+    def solving(self) -> bool:
+        """Whether a registration runs."""
+
+    def points_since(self, revision: int, count: int) -> tuple[int, str, Points]:
+        """Return the revision, the frame of the points, and the points from row ``count`` on."""
+
+    def landmarks(self) -> tuple[Array, Array] | None:
+        """Return captured landmarks: (k, 3) in the bone frame, (k, 3) in the tracker frame, m."""
+
+    def status(self) -> SourceStatus:
+        """Return the present status."""
 
 
 class LiveWorker:
     """
-    The threads that follow one session with one bone; they start at once.
+    Follows the points of one source on one bone, from construction until `stop`.
 
-    ``status`` is what there is to say, to be read at any time; of points that have been dropped
-    since, nothing.
+    Parameters
+    ----------
+    source : PointSource
+    field : of the bone
+    on_pose : called with each new pose and its frame
+    on_assessment : called with each full assessment
+    on_status_change : called when `status` may have changed
+    on_error : called with a description of an internal error
+
+    The callbacks run on the threads of the worker. After an internal error the registration starts
+    again.
+
     """
 
-    def __init__(self, node: RegistrationNode, outputs: Outputs, session: Session, field: Field,
-                 config: Config) -> None:
-        self._told = -1, LiveStatus()       # revision of the points that it is true of, and it
-        self._node, self._outputs, self._session, self._field = node, outputs, session, field
-        self._live = LiveRegistration(field, config)
-        self._woken, self._stopping = threading.Event(), threading.Event()
-        self._orders: deque[Order] = deque()
-        self._looked_at = (-1, 0)           # revision and count of the last look
-        self._looked = 0.0                  # when, s, monotonic
-        self._next_look = self._next_search = 0.0   # not before
-        self._looking: Future[FullAssessment] | None = None
-        self._give_up = threading.Event()
+    def __init__(self, source: PointSource, field: Field, *,
+                 on_pose: Callable[[LivePose, str], None],
+                 on_assessment: Callable[[FullAssessment], None],
+                 on_status_change: Callable[[], None],
+                 on_error: Callable[[str], None]) -> None:
+        self._source, self._field = source, field
+        self._on_pose, self._on_assessment = on_pose, on_assessment
+        self._on_status_change, self._on_error = on_status_change, on_error
+        self._live = LiveRegistration(field, source.config)
+        self._status = -1, LiveStatus()     # with the revision of its points
         self._frame_id = ''
-        self._looks = ThreadPoolExecutor(1, 'look')
+        self._finished: deque[bool] = deque()       # registrations: whether each succeeded
+        self._notified, self._stopping = threading.Event(), threading.Event()
+        self._assessing: Future[FullAssessment] | None = None
+        self._cancel = threading.Event()    # the assessment that runs
+        self._assessed = (-1, 0)            # revision and count of the points of the last one
+        self._assessed_at = 0.0             # s, monotonic; the next two likewise
+        self._next_assessment = self._next_search = 0.0
+        self._pool = ThreadPoolExecutor(1, 'assessment')
         self._thread = threading.Thread(target=self._run, name='live', daemon=True)
         self._thread.start()
-        self.wake()     # there may be points
+        self.notify()       # the source may hold points already
 
     @property
     def status(self) -> LiveStatus:
-        revision, status = self._told
-        return status if revision == self._session.revision else LiveStatus()
+        """The last status; the default while the points it describes have been dropped."""
+        revision, status = self._status
+        return status if revision == self._source.revision else LiveStatus()
 
-    def wake(self) -> None:
-        self._woken.set()
+    def notify(self) -> None:
+        """Check the source for changes; returns at once, also if the source is locked."""
+        self._notified.set()
 
-    def order(self, order: Order) -> None:
-        self._orders.append(order)
-        self.wake()
+    def registration_finished(self, success: bool) -> None:
+        """Search again, after a registration that succeeded or was refused."""
+        self._finished.append(success)
+        self.notify()
 
     def stop(self) -> None:
+        """Stop within half a second; a running assessment is cancelled."""
         self._stopping.set()
-        self._give_up.set()
-        self.wake()
-        self._looks.shutdown(wait=False)
-        self._thread.join(STOPPED)
+        self._cancel.set()
+        self.notify()
+        self._pool.shutdown(wait=False)
+        self._thread.join(STOP_TIMEOUT)
 
     def _run(self) -> None:
         next_step = 0.0
         while True:
-            self._woken.wait(self._patience())
+            self._notified.wait(self._wait_time())
             early = next_step - monotonic()
             if early > 0.0:
                 self._stopping.wait(early)
-            self._woken.clear()
+            self._notified.clear()
             if self._stopping.is_set():
                 return
-            next_step = monotonic() + 1.0 / self._live.config.live.max_rate
+            next_step = monotonic() + 1.0 / MAX_RATE
             try:
                 self._step()
-            # noqa: BLE001 - a fault here must cost neither points nor the next pose
+            # noqa: BLE001 - an internal error must neither stop the thread nor lose points
             except Exception as error:
-                self._begin_again(error)
+                self._recover(error)
 
     def _step(self) -> None:
-        """Take in what has come, and what a look has found; publish the pose; look anew."""
+        """Follow new points, accept a finished assessment, report the pose, assess again if due."""
         live = self._live
-        while self._orders:
-            self._orders.popleft()(live)
-            self._next_search = 0.0
+        self._apply_requests()
         before = live.revision
-        revision, self._frame_id, points = self._session.points_since(before, live.count)
+        # all points from row 0: they are views, so nothing is copied
+        revision, self._frame_id, points = self._source.points_since(before, 0)
         pose = live.follow(revision, points)
         if revision != before:
-            self._give_up.set()
-            self._next_look = self._next_search = 0.0
-            self._tell()
-        if self._looking is not None and self._looking.done():
-            looking, self._looking = self._looking, None
-            pose = self._accept(looking) or pose
+            self._cancel.set()
+            self._next_assessment = self._next_search = 0.0
+            self._update_status()
+        if self._assessing is not None and self._assessing.done():
+            finished, self._assessing = self._assessing, None
+            pose = self._accept(finished) or pose
         if pose is not None:
-            self._outputs.live(pose, self._frame_id)
-        self._look()
+            self._on_pose(pose, self._frame_id)
+        self._assess_if_due()
 
-    def _accept(self, looking: Future[FullAssessment]) -> LivePose | None:
+    def _apply_requests(self) -> None:
+        """Apply changed settings and finished registrations; both permit a search at once."""
+        config = self._source.config
+        if config is not self._live.config:
+            self._live.config = config
+            self._next_search = 0.0
+        while self._finished:
+            self._live.registration_finished(self._finished.popleft())
+            self._next_search = 0.0
+
+    def _accept(self, finished: Future[FullAssessment]) -> LivePose | None:
         try:
-            survey = looking.result()
+            assessment = finished.result()
         except Cancelled:
             return None
         live = self._live
-        pose = live.accept(survey)
-        if survey.searched and live.survey is survey:
-            self._next_search = self._looked + SEARCH_EVERY
-        self._tell()
+        pose = live.accept(assessment)
+        if assessment.searched and live.assessment is assessment:
+            self._next_search = self._assessed_at + SEARCH_INTERVAL
+        self._update_status()
         return pose
 
-    def _tell(self) -> None:
-        self._told = self._live.revision, self._live.status()
-        self._node.show_soon()
+    def _update_status(self) -> None:
+        self._status = self._live.revision, self._live.status()
+        self._on_status_change()
 
-    def _patience(self) -> float | None:
-        """Return for how long to wait for points, s; None: until some come."""
-        if self._looking is not None:
-            return None     # it wakes us
-        due = self._due()
+    def _wait_time(self) -> float | None:
+        """Return how long to wait for a notification, s; None: without limit."""
+        if self._assessing is not None:
+            return None     # its end notifies
+        due = self._assessment_due()
         return None if due is None else max(0.0, due - monotonic())
 
-    def _due(self) -> float | None:
-        """Return when to look again, s, monotonic; None: when something has come in."""
+    def _assessment_due(self) -> float | None:
+        """Return when to assess again, s, monotonic; None: not before something changes."""
         live = self._live
-        if (live.revision, live.count) != self._looked_at:
-            return self._next_look
-        return max(self._next_look, self._next_search) if live.due else None
+        if (live.revision, live.count) != self._assessed:
+            return self._next_assessment
+        return max(self._next_assessment, self._next_search) if live.search_due else None
 
-    def _look(self) -> None:
-        """Have all points looked at, if it is time to."""
-        due, now = self._due(), monotonic()
-        if self._looking is not None or due is None or due > now:
+    def _assess_if_due(self) -> None:
+        """Start a full assessment of all points if it is time."""
+        due, now = self._assessment_due(), monotonic()
+        if self._assessing is not None or due is None or due > now:
             return
         live = self._live
-        self._looked_at = live.revision, live.count
-        self._looked = now
-        # half as often when there is nothing left to wait for
-        self._next_look = now + (2.0 if live.ready else 1.0) / live.config.live.status_rate
-        self._give_up = threading.Event()
-        search = now >= self._next_search and self._session.status().state != 'solving'
-        job = live.look(search, self._guess())
-        self._looking = self._looks.submit(self._survey, job, self._give_up)
-        self._looking.add_done_callback(lambda _: self.wake())
+        self._assessed = live.revision, live.count
+        self._assessed_at = now
+        # half the rate once the points suffice
+        self._next_assessment = now + (2.0 if live.ready else 1.0) / ASSESSMENT_RATE
+        self._cancel = threading.Event()
+        search = now >= self._next_search and not self._source.solving
+        job = live.assessment_job(search, self._guess())
+        self._assessing = self._pool.submit(self._assess, job, self._cancel)
+        self._assessing.add_done_callback(lambda _: self.notify())
 
-    def _survey(self, job: Job, give_up: threading.Event) -> FullAssessment:
-        """Look at all points, on a thread of its own, and show what is found."""
-        survey = job(give_up.is_set)
-        if not give_up.is_set():
-            self._outputs.survey(survey, self._session)
-        return survey
+    def _assess(self, job: AssessmentJob, cancel: threading.Event) -> FullAssessment:
+        """Run a full assessment and report it, on the second thread."""
+        assessment = job(cancel.is_set)
+        if not cancel.is_set():
+            self._on_assessment(assessment)
+        return assessment
 
     def _guess(self) -> Array | None:
-        """Return T_bone_tracker (4, 4) where a registration would begin; None: anywhere."""
-        status, landmarks = self._session.status(), self._session.landmarks()
+        """Return T_bone_tracker (4, 4) where a registration would start; None: anywhere."""
+        status, landmarks = self._source.status(), self._source.landmarks()
         if landmarks is not None:
             try:
-                return first_guess(landmarks, None)
+                return initial_guess(landmarks, None)
             except Refusal:
                 return None
         if status.pose_result is None or status.pose_frame_id != self._frame_id:
             return None
         return status.pose_result.T_bone_tracker
 
-    def _begin_again(self, error: Exception) -> None:
-        """Say what went wrong, once in a while, and follow the points from the first one on."""
+    def _recover(self, error: Exception) -> None:
+        """Report an internal error and start again from the first point."""
         trace = ''.join(traceback.format_exception(error))
-        self._node.get_logger().error(
-            'the live pose begins again after an internal error, please report it: '
-            f'{type(error).__name__}: {error}\n{trace}', throttle_duration_sec=10.0)
-        self._live = LiveRegistration(self._field, self._live.config)
-        self._looked_at, self._looking = (-1, 0), None
-        self._next_look = self._next_search = monotonic() + SEARCH_EVERY
+        self._on_error('the live registration restarts after an internal error, please report it: '
+                       f'{type(error).__name__}: {error}\n{trace}')
+        self._live = LiveRegistration(self._field, self._source.config)
+        self._assessed, self._assessing = (-1, 0), None
+        self._next_assessment = self._next_search = monotonic() + SEARCH_INTERVAL

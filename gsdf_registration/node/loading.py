@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bone as the node needs it: loaded, its warnings told, the solver compiled."""
+"""Loads the bone model for the node, logs the warnings and compiles the kernels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gsdf_registration.solver import solve
 
 def load(config: Config, log: RcutilsLogger) -> Field | None:
     """
-    Return the field of ``model.path``; None, with a warning, when that is empty.
+    Return the field of ``model.path``; if that is empty, log a warning and return None.
 
     Raises
     ------
@@ -32,8 +32,7 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
     """
     path = config.model.path
     if not path:
-        log.warning(
-            'there is no bone model: model.path is empty; points are collected all the same')
+        log.warning('no bone model: model.path is empty; points are collected nevertheless')
         return None
     log.info(f'loading {path}')
     try:
@@ -43,8 +42,8 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
         reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
         raise InputError(error.message, reason) from None
     _compile(field, config)
-    # what is there by now stays; to look through all of it again and again, the collector would
-    # stop everything for a tenth of a second
+    # The objects that exist now are permanent. Without this, each full garbage collection would
+    # scan them again and stop all threads for a tenth of a second.
     gc.collect()
     gc.freeze()
     log.info(f'{path} is loaded')
@@ -52,7 +51,7 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
 
 
 def _compile(field: Field, config: Config) -> None:
-    """Have all kernels compiled, so that the first registration is as quick as any."""
+    """Compile all kernels, so that the first registration takes no longer than later ones."""
     points = field.surface_points[::50].astype(np.float64)
     short = config.replaced({'search.rotations': 1, 'search.places': 1, 'search.parts': 0})
     register(points, field, short)
@@ -60,7 +59,7 @@ def _compile(field: Field, config: Config) -> None:
     WarmPose(points, field, solution, config).add(np.tile(points[0], (10, 1)))
 
 
-class _ToRos(logging.Handler):
+class _RosHandler(logging.Handler):
     def __init__(self, log: RcutilsLogger) -> None:
         super().__init__(logging.WARNING)
         self._log = log
@@ -71,8 +70,8 @@ class _ToRos(logging.Handler):
 
 @contextmanager
 def _warnings_to(log: RcutilsLogger) -> Iterator[None]:
-    """Pass on what the package warns of without ROS."""
-    package, handler = logging.getLogger('gsdf_registration'), _ToRos(log)
+    """Forward warnings of the package, which are logged without ROS, to the log of the node."""
+    package, handler = logging.getLogger('gsdf_registration'), _RosHandler(log)
     package.addHandler(handler)
     try:
         yield

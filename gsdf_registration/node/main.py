@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process of the node: one thread lives its life, the main thread waits for a signal."""
+"""The process of the node: one thread spins the node, the main thread waits for a signal."""
 
 from __future__ import annotations
 
@@ -15,49 +15,49 @@ if TYPE_CHECKING:
 
     from gsdf_registration.node.node import RegistrationNode
 
-STOP = {signal.SIGINT, signal.SIGTERM}
-GRACE = 0.8     # s; what still computes after that is left behind
+SIGNALS = {signal.SIGINT, signal.SIGTERM}
+SHUTDOWN_TIMEOUT = 0.8  # s; a computation that takes longer is abandoned
 
 
 def main(args: list[str] | None = None) -> NoReturn:
     """
     Run the node until SIGINT or SIGTERM.
 
-    The signals are blocked before the slow imports and taken by sigwait: no handler interrupts
-    anything, and one signal on the heels of another finds nothing to harm.
+    Both signals are blocked before the slow imports and received by sigwait, so that no handler
+    interrupts the code and a second signal has no effect.
 
-    The exit status is 0 after a signal, 1 after a failure of our own, and 2 when what was given
-    cannot be used.
+    The exit status is 0 after a signal, 1 after an internal error, and 2 if the arguments or
+    parameters cannot be used.
 
     """
-    signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
-    life = _Life(args)
-    life.start()
-    signal.sigwait(STOP)
-    status = life.end()
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    spinner = _Spinner(args)
+    spinner.start()
+    signal.sigwait(SIGNALS)
+    status = spinner.stop()
     sys.stdout.flush()
-    # what is left behind ends here; else the interpreter would take half a second to fall apart
+    # exit at once: the teardown of the interpreter would take half a second
     os._exit(status)
 
 
-class _Life(threading.Thread):
-    """Makes the node and spins it until told to stop; a callback that fails ends the process."""
+class _Spinner(threading.Thread):
+    """Creates the node and spins it until `stop`; an exception in a callback ends the process."""
 
     def __init__(self, args: list[str] | None) -> None:
         super().__init__(name='executor', daemon=True)
         self._args = args
         self._executor: Executor | None = None
-        self._node: RegistrationNode | None = None      # None: still starting, nothing to lose
+        self._node: RegistrationNode | None = None      # None while the node starts
         self._stopping = threading.Event()
         self._status = 1
 
     def run(self) -> None:
         try:
-            self._status = self._live()
+            self._status = self._spin()
         finally:
-            os.kill(os.getpid(), signal.SIGTERM)    # or the main thread would wait for ever
+            os.kill(os.getpid(), signal.SIGTERM)    # end the sigwait of the main thread
 
-    def _live(self) -> int:
+    def _spin(self) -> int:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.signals import SignalHandlerOptions
@@ -67,12 +67,12 @@ class _Life(threading.Thread):
 
         try:
             rclpy.init(args=self._args, signal_handler_options=SignalHandlerOptions.NO)
-        except RuntimeError as error:       # what ROS says of a file or an argument it cannot read
-            return _refuse(f'the arguments of ROS cannot be used: {error}')
+        except RuntimeError as error:       # a parameter file or argument that ROS cannot parse
+            return _fail(f'invalid ROS arguments: {error}')
         try:
             node = RegistrationNode()
         except InputError as error:
-            return _refuse(error.message)
+            return _fail(error.message)
         self._executor = executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.create_task(node.start)
@@ -81,28 +81,28 @@ class _Life(threading.Thread):
             executor.spin_once()
         return 0
 
-    def end(self) -> int:
-        """Stop the node, or leave it behind if it starts or computes; return the exit status."""
+    def stop(self) -> int:
+        """Stop the node, or abandon it while it starts or computes; return the exit status."""
         self._stopping.set()
         node = self._node
         if node is not None and self._executor is not None:
             node.cancelled.set()
-            self._executor.create_task(lambda: None)    # so that it looks up
-        self.join(GRACE)
-        if self.is_alive() or (node is not None and not node.finish(GRACE)):
-            return 0    # in the middle of a start or a long computation: nothing can be lost
+            self._executor.create_task(lambda: None)    # wakes the executor
+        self.join(SHUTDOWN_TIMEOUT)
+        if self.is_alive() or (node is not None and not node.finish(SHUTDOWN_TIMEOUT)):
+            return 0    # starting or in a long computation: no data can be lost
         import rclpy
         if self._executor is not None:
             self._executor.shutdown(0.0)
         rclpy.try_shutdown()
-        # others hear at once that we are gone only if nothing refers to the node any more
+        # DDS announces the end of the node only once nothing refers to it any more
         self._node = self._executor = node = None
         gc.collect()
         return self._status
 
 
-def _refuse(message: str) -> int:
-    """Say in one line why there is no node; return the exit status."""
+def _fail(message: str) -> int:
+    """Print in one line why the node cannot start; return the exit status."""
     print(f'registration_node: {" ".join(message.split())}', file=sys.stderr)
     return 2
 

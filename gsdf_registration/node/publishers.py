@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node says, where, and how reliably."""
+"""Publishers of the status and of the poses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rclpy.timer import Timer
 
 try:
     from tf2_msgs.msg import TFMessage
-except ImportError:     # not among the wheels; on a ROS install it is there
+except ImportError:     # there is no wheel of it; a ROS installation has it
     TFMessage = None
 
 from gsdf_registration.common.config import Config
@@ -34,8 +34,8 @@ class StatusPublisher:
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10,
                                                   event_callbacks=UNWATCHED)
 
-    def show(self, status: Status, live: LiveStatus) -> DiagnosticStatus:
-        """Publish ``~/status`` if it says something new; return its message."""
+    def publish_status(self, status: Status, live: LiveStatus) -> DiagnosticStatus:
+        """Publish ``~/status`` if it has changed; return the message."""
         message = status_message(status, live, self._node.get_fully_qualified_name())
         if status.state == 'ready' and self._state != 'ready':
             self._node.get_logger().info(status.message)
@@ -45,94 +45,94 @@ class StatusPublisher:
             self._status.publish(message)
         return message
 
-    def tick(self, status: Status, live: LiveStatus) -> None:
-        """Publish both; called once a second."""
+    def publish_diagnostics(self, status: Status, live: LiveStatus) -> None:
+        """Publish both topics; to be called once a second."""
         stamp = self._node.get_clock().now().to_msg()
-        message = DiagnosticArray(status=[self.show(status, live)])
+        message = DiagnosticArray(status=[self.publish_status(status, live)])
         message.header.stamp = stamp
         self._diagnostics.publish(message)
 
 
 class PosePublishers:
     """
-    Publishes the registration and the live pose; silent unless active.
+    Publishes the registered pose and the live pose while the node is active.
 
-    The transform goes to /tf and is re-sent, never to /tf_static: in Jazzy a second static
-    transform of a frame is dropped without a word, so that nobody would hear of a new registration.
+    The transform goes to /tf and is repeated. It does not go to /tf_static: in Jazzy, a second
+    static transform of the same frame is silently dropped, so a new registration would be lost.
     """
 
     def __init__(self, node: LifecycleNode, config: Config) -> None:
         self._node = node
         self._frame_id = config.model.frame_id
-        self._pose, self._pose_with_covariance = self._latched()
+        self._rate = config.tf.rate
+        self._pose, self._pose_with_covariance = self._create_latched()
         create = node.create_lifecycle_publisher
         self._live_pose = create(PoseWithCovarianceStamped, '~/live_pose', 10)
         self._tf = create(TFMessage, '/tf', 100, event_callbacks=UNWATCHED) if TFMessage else None
         self._transform: TransformStamped | None = None
         self._timer: Timer | None = None
-        self.configure(config)
         if TFMessage is None:
-            node.get_logger().warning('tf2_msgs cannot be imported; nothing is published on /tf')
+            node.get_logger().warning('tf2_msgs cannot be imported; /tf is not published')
 
-    def configure(self, config: Config) -> None:
-        """Re-send the transform at ``tf.rate`` from now on."""
-        self._rate = config.tf.rate
-        self._time()
-
-    def _time(self) -> None:
-        """Have the transform re-sent, if there is one: a timer for nothing costs, too."""
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-        self._timer = None
-        if self._transform is not None and self._tf is not None and self._rate > 0.0:
-            self._timer = self._node.create_timer(1.0 / self._rate, self._resend)
+    def set_rate(self, rate: float) -> None:
+        """Repeat the transform at this rate, Hz; 0: never."""
+        self._rate = rate
+        self._restart_timer()
 
     def publish(self, result: RegistrationResult, frame_id: str) -> None:
-        """Publish a good pose in ``frame_id`` to everyone, late joiners included."""
+        """Publish a registered pose in ``frame_id``; late joiners receive it too."""
         T, covariance = result.T_tracker_bone, result.covariance
-        assert T is not None and covariance is not None     # a good pose has both
+        assert T is not None and covariance is not None     # an accepted result has both
         stamp = self._node.get_clock().now().to_msg()
         self._pose.publish(ros.pose_msg(T, frame_id, stamp))
         self._pose_with_covariance.publish(
             ros.pose_with_covariance_msg(T, covariance, frame_id, stamp))
         self._transform = ros.transform_msg(T, frame_id, self._frame_id, stamp)
-        self._resend()
-        self._time()
+        self._publish_transform()
+        self._restart_timer()
 
-    def forget(self) -> None:
-        """Take the pose off the air: it is not re-sent, and late joiners hear of none."""
+    def withdraw(self) -> None:
+        """Stop repeating the transform, and give late joiners no pose any more."""
         if self._transform is None:
             return
         self._transform = None
-        self._time()
+        self._restart_timer()
         for publisher in (self._pose, self._pose_with_covariance):
             self._node.destroy_lifecycle_publisher(publisher)
-        self._pose, self._pose_with_covariance = self._latched()
+        self._pose, self._pose_with_covariance = self._create_latched()
         for publisher in (self._pose, self._pose_with_covariance):
-            publisher.on_activate(None)     # as it was, or nothing would have been published
-
-    def _latched(self) -> list[LifecyclePublisher]:
-        """Return publishers of the pose that have nothing for late joiners yet."""
-        create = self._node.create_lifecycle_publisher
-        return [create(kind, topic, LATCHED, event_callbacks=UNWATCHED) for kind, topic in (
-            (PoseStamped, '~/bone_pose'),
-            (PoseWithCovarianceStamped, '~/bone_pose_with_covariance'))]
+            publisher.on_activate(None)     # a transform exists only while the node is active
 
     def publish_live(self, pose: LivePose, frame_id: str) -> None:
-        """Publish the present estimate, stamped as the newest point in it."""
+        """Publish the live pose with the stamp of its newest point."""
         self._live_pose.publish(
             ros.pose_with_covariance_msg(pose.T_tracker_bone, pose.covariance, frame_id,
                                          ros.seconds_to_stamp(pose.stamp)))
 
-    def _resend(self) -> None:
-        if self._transform is not None and self._tf is not None:
-            self._transform.header.stamp = self._node.get_clock().now().to_msg()
-            self._tf.publish(TFMessage(transforms=[self._transform]))
-
     def destroy(self) -> None:
-        """Take everything off the air."""
+        """Destroy the publishers and the timer."""
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
         for publisher in (self._pose, self._pose_with_covariance, self._live_pose, self._tf):
             if publisher is not None:
                 self._node.destroy_lifecycle_publisher(publisher)
+
+    def _create_latched(self) -> list[LifecyclePublisher]:
+        """Return new publishers of the pose, which have no message for late joiners yet."""
+        create = self._node.create_lifecycle_publisher
+        return [create(kind, topic, LATCHED, event_callbacks=UNWATCHED) for kind, topic in (
+            (PoseStamped, '~/bone_pose'),
+            (PoseWithCovarianceStamped, '~/bone_pose_with_covariance'))]
+
+    def _restart_timer(self) -> None:
+        """Run the timer at the present rate, or none if there is no transform to repeat."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+        self._timer = None
+        if self._transform is not None and self._tf is not None and self._rate > 0.0:
+            self._timer = self._node.create_timer(1.0 / self._rate, self._publish_transform)
+
+    def _publish_transform(self) -> None:
+        if self._transform is not None and self._tf is not None:
+            self._transform.header.stamp = self._node.get_clock().now().to_msg()
+            self._tf.publish(TFMessage(transforms=[self._transform]))

@@ -1,48 +1,93 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The private services: each asks the session, and answers with success and one plain sentence."""
+"""The private services: each calls the session and answers with success and one sentence."""
 
 from __future__ import annotations
 
+import threading
 import traceback
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import Executor
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_srvs.srv import SetBool, Trigger
 
+from gsdf_registration.common.formatting import format_length
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import rms_displacement
+from gsdf_registration.field import Field
+from gsdf_registration.node.background import BackgroundThread
 from gsdf_registration.node.status import pose_kept
-from gsdf_registration.node.worker import Worker
+from gsdf_registration.session import Session
 from gsdf_registration.session.landmark_capture import Answer
+from gsdf_registration.session.status import Status
 from msg_adapters.session_file import read_session, write_session
-
-if TYPE_CHECKING:
-    from gsdf_registration.node.node import RegistrationNode
 
 Handler = Callable[[Any], Awaitable[Answer]]
 
 
+class ServiceNode(Protocol):
+    """The node, as far as the services use it."""
+
+    session: Session
+    cancelled: threading.Event      # set to cancel a running registration
+
+    @property
+    def executor(self) -> Executor | None:
+        """The executor that spins the node."""
+
+    @property
+    def field(self) -> Field | None:
+        """The bone in use."""
+
+    def get_logger(self) -> RcutilsLogger:
+        """Return the logger of the node."""
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, *,
+                       callback_group: Any) -> Any:
+        """Create a service."""
+
+    def now(self) -> float:
+        """Return the time of the node's clock, s."""
+
+    def refusal(self) -> str:
+        """Return why requests are refused now; empty while the node is active."""
+
+    def clear(self) -> Answer:
+        """Start a new session."""
+
+    def registration_finished(self, success: bool) -> None:
+        """Report the end of a registration to the live registration."""
+
+    def publish_registration(self) -> None:
+        """Publish the accepted registration."""
+
+    def publish_status(self) -> None:
+        """Publish ``~/status`` if it has changed."""
+
+
 class Services:
     """
-    Serves ``~/collect`` and the others on a node, in every state of its lifecycle.
+    Serves ``~/collect`` and the others, in every state of the node's lifecycle.
 
-    They are there from the start, so a client of a node without a bone is told and need not wait.
+    They exist from the start, so a client of a node without a bone gets a reason and need not wait.
     """
 
-    def __init__(self, node: RegistrationNode) -> None:
+    def __init__(self, node: ServiceNode) -> None:
         self._node = node
-        self._worker = Worker()
-        # reentrant: ~/register waits for its solve while the others, itself included, are answered
+        self._background = BackgroundThread()
+        # reentrant: ~/register awaits its solve while other requests, itself included, are answered
         group = ReentrantCallbackGroup()
         for handler in (self.collect, self.undo, self.clear, self.capture_landmark, self.register,
                         self.verify, self.save, self.load):
             kind = SetBool if handler == self.collect else Trigger
             node.create_service(kind,
                                 f'~/{handler.__name__}',
-                                self._served(handler),
+                                self._callback(handler),
                                 callback_group=group)
 
-    def _served(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
+    def _callback(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
         log = self._node.get_logger().get_child(handler.__name__)
 
         async def serve(request: Any, response: Any) -> Any:
@@ -52,17 +97,16 @@ class Services:
                 answer = Answer(False, refusal) if refusal else await handler(request)
             except InputError as error:
                 answer = Answer(False, error.message)
-            # noqa: BLE001 - a fault of ours must cost neither the client its answer nor the points
+            # noqa: BLE001 - after an internal error the client still gets an answer
             except Exception as error:
                 traceback.print_exc()
                 answer = Answer(
                     False, f'internal error, please report it: {type(error).__name__}: {error}')
             if answer.success:
                 log.info(answer.message)
-            else:   # who asks again and again is told each time, the log once in a while
+            else:   # a client may repeat its request in a loop
                 log.warning(answer.message, throttle_duration_sec=1.0)
-            node.live.wake()
-            node.show()
+            node.publish_status()
             response.success, response.message = answer.success, answer.message
             return response
         return serve
@@ -72,67 +116,79 @@ class Services:
         return self._node.session.collect(request.data)
 
     async def undo(self, _: Trigger.Request) -> Answer:
-        """Drop the last stroke, and register anew if the last good pose was found with it."""
+        """Drop the last stroke; register again if the accepted registration used it."""
         session = self._node.session
         before, dropped = session.status(), session.undo()
-        self._node.live.wake()
-        # a pose that was outdated before, as after ~/clear, is not what was undone
+        # a registration that was outdated before, as after ~/clear, did not use this stroke
         if not dropped.success or before.outdated or not session.status().outdated:
             return dropped
-        if self._worker.busy:
-            return Answer(True, f'{dropped.message}; the last good pose was found with it: '
-                          'register again when the last request is done')
+        used = f'{dropped.message}; the accepted registration used it'
+        if self._background.busy:
+            return Answer(True, f'{used}: register again when the current request is finished')
         found = await self.register(Trigger.Request())
         if not found.success:
-            return Answer(True, f'{dropped.message}; the last good pose was found with it, and '
-                          f'without it there is none: {found.message}')
-        return Answer(True, f'{dropped.message}; registered anew without it: '
-                      f'{self._node.moved_since(before)}; {found.message}')
+            return Answer(True, f'{used}, and a registration without it is refused: '
+                          f'{found.message}')
+        return Answer(True, f'{dropped.message}; registered again without it: '
+                      f'{self._moved_since(before)}; {found.message}')
+
+    def _moved_since(self, before: Status) -> str:
+        """Return how far the registered bone is from its position ``before``."""
+        now, then = self._node.session.status().pose_result, before.pose_result
+        field = self._node.field
+        assert now is not None and then is not None and field is not None
+        assert now.T_tracker_bone is not None and then.T_tracker_bone is not None
+        distance = rms_displacement(then.T_tracker_bone, now.T_tracker_bone,
+                                    field.surface_points)
+        return f'the bone moved by {format_length(distance)} (RMS)'
 
     async def clear(self, _: Trigger.Request) -> Answer:
         """Drop all points, landmarks and verification points."""
         return self._node.clear()
 
     async def capture_landmark(self, _: Trigger.Request) -> Answer:
-        """Take the resting tip as the next landmark."""
+        """Capture the stationary tip as the next landmark."""
         return self._node.session.capture_landmark(self._node.now())
 
     async def verify(self, _: Trigger.Request) -> Answer:
-        """Measure the distance of the resting tip to the registered surface."""
+        """Measure the distance of the stationary tip to the registered surface."""
         return self._node.session.verify(self._node.now())
 
     async def register(self, _: Trigger.Request) -> Answer:
-        """Solve, and publish the pose."""
+        """Register the collected points, and publish the pose."""
         session, cancelled = self._node.session, self._node.cancelled
-        result = await self._off_executor(lambda: session.register(cancelled=cancelled.is_set))
-        self._node.live.registered(result.success)
+        result = await self._in_background(lambda: session.register(cancelled=cancelled.is_set))
+        self._node.registration_finished(result.success)
         if not result.success:
             return Answer(False, f'{result.reason}: {result.message}{pose_kept(session.status())}')
         if session is not self._node.session or self._node.refusal():
-            return Answer(False, 'the node was stopped meanwhile; nothing is published')
-        self._node.publish_pose()
+            return Answer(False, 'the node was stopped during the registration; nothing is '
+                          'published')
+        self._node.publish_registration()
         return Answer(True, result.message)
 
     async def save(self, _: Trigger.Request) -> Answer:
         """Write the session to ``session.path``."""
-        session, path = self._node.session, self._node.config.session.path
-        await self._off_executor(lambda: write_session(path, session.to_dict()))
+        session = self._node.session
+        path = session.config.session.path
+        await self._in_background(lambda: write_session(path, session.to_dict()))
         return Answer(True, f'session saved to {path}')
 
     async def load(self, _: Trigger.Request) -> Answer:
-        """Take up the session in ``session.path``, and publish its pose."""
-        session, path = self._node.session, self._node.config.session.path
-        await self._off_executor(lambda: session.restore(read_session(path)))
-        self._node.publish_pose()
+        """Restore the session in ``session.path``, and publish its registration."""
+        session = self._node.session
+        path = session.config.session.path
+        await self._in_background(lambda: session.restore(read_session(path)))
+        self._node.publish_registration()
         return Answer(True, f'session loaded from {path}: {session.status().message}')
 
-    async def _off_executor(self, job: Callable[[], Any]) -> Any:
+    async def _in_background(self, job: Callable[[], Any]) -> Any:
         executor = self._node.executor
-        assert executor is not None     # it calls us
-        if self._worker.busy:
-            raise InputError('the last request is still being worked on; wait for its answer')
-        return await self._worker.run(executor, job)
+        assert executor is not None     # it runs this callback
+        if self._background.busy:
+            raise InputError('another request is running; wait for its answer')
+        return await self._background.run(executor, job)
 
-    def idle(self, timeout: float) -> bool:
-        """Take no further jobs; tell whether the running one ended within ``timeout`` seconds."""
-        return self._worker.shutdown(timeout)
+    def shutdown(self, timeout: float) -> bool:
+        """Start no more jobs; return whether the running one ended within ``timeout`` seconds."""
+        return self._background.shutdown(timeout)

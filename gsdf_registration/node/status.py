@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The session's status as a diagnostic message: one line for the operator, numbers for programs."""
+"""The status message: one sentence for the operator, key-value pairs for programs."""
 
 from __future__ import annotations
 
@@ -14,33 +14,37 @@ from gsdf_registration.registration.stroke_report import interference
 from gsdf_registration.session.status import Status
 from msg_adapters.ros import diagnostic_status
 
-LEVELS = {'no_model': DiagnosticStatus.ERROR, 'refused': DiagnosticStatus.WARN}     # the others: OK
+LEVELS = {'no_model': DiagnosticStatus.ERROR, 'refused': DiagnosticStatus.WARN}     # else OK
 
-# What is said of points before the bone was really touched
-NOT_BEGUN = {Reason.TOO_FEW_POINTS, Reason.REGION_TOO_SMALL, Reason.WRONG_UNIT}
+# Reasons that are expected before the operator has touched much of the bone
+NOT_STARTED = {Reason.TOO_FEW_POINTS, Reason.REGION_TOO_SMALL, Reason.WRONG_UNIT}
 
 
 def pose_kept(status: Status) -> str:
-    """Return what to add to a refusal when an earlier pose stays on the air."""
-    return '' if status.pose_result is None else '; the last good pose is kept'
+    """Return what to append to a refusal if an earlier registration stays in use."""
+    return '' if status.pose_result is None else '; the accepted registration is kept'
 
 
-def with_live(status: Status, live: LiveStatus) -> Status:
-    """Return the session at a glance with what the live registration adds: what lacks, or ready."""
+def combined_status(status: Status, live: LiveStatus) -> Status:
+    """Return the status of the session with that of the live registration: missing, or ready."""
     registered = status.pose_result is not None and not status.outdated
     if live.ready and not registered and status.state in ('collecting', 'idle', 'refused'):
-        message = '; '.join(filter(None, (live.message, status.remark)))
-        return replace(status, state='ready', message=message)
+        return replace(status, state='ready', message=sentence(live.message, status.notice))
     if status.state not in ('collecting', 'idle'):
         return status
-    # what is registered well needs not be registered again, and the landmarks come first
-    spare = live.ready or (status.to_come and live.reason in NOT_BEGUN)
-    told = (status.message, interference(live.strokes), '' if spare else live.message)
-    return replace(status, message='; '.join(sentence for sentence in told if sentence))
+    # A good registration need not be repeated, and landmarks come before strokes
+    skip_live = live.ready or (status.remaining_landmarks and live.reason in NOT_STARTED)
+    return replace(status, message=sentence(status.message, interference(live.stroke_reports),
+                                            '' if skip_live else live.message))
+
+
+def sentence(*parts: str) -> str:
+    """Return the parts that are not empty, joined to one sentence."""
+    return '; '.join(part for part in parts if part)
 
 
 def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticStatus:
-    """Return ``status`` as a message from the node ``name``.  Values are SI and plain text."""
+    """Return ``status`` as a message from the node ``name``. Values are SI units or plain text."""
     values: dict[str, Any] = {
         'state': status.state, 'received': status.received, 'kept': status.kept,
         'strokes': status.strokes, 'landmarks': status.landmarks, 'frame_id': status.frame_id or '',
@@ -48,12 +52,12 @@ def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticSta
             f'rejected.{cause}': count
             for cause, count in status.rejected.items()
         }, 'pose': 'none' if status.pose_result is None else f'in {status.pose_frame_id}',
-        **(_confidence(status.pose_result) if status.pose_result is not None else {}),
-        **_live(live),
+        **(_accuracy(status.pose_result) if status.pose_result is not None else {}),
+        **_live_values(live),
         **{f'stroke.{each.number}': each.sentence
-           for each in live.strokes or status.stroke_reports},
-        **{f'landmark_miss_m.{name}': f'{miss:.6f}'
-           for name, miss in status.landmark_misses.items()}
+           for each in live.stroke_reports or status.stroke_reports},
+        **{f'landmark_miss_m.{name}': f'{error:.6f}'
+           for name, error in status.landmark_errors.items()}
     }
     if status.verification is not None:
         values['verification'] = status.verification.sentence
@@ -61,25 +65,25 @@ def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticSta
     return diagnostic_status(name, LEVELS.get(status.state, DiagnosticStatus.OK), message, values)
 
 
-def _confidence(result: RegistrationResult) -> dict[str, str]:
-    """Return how good the last good pose is."""
-    known = {'used': str(result.used), 'inliers': str(result.inliers)}
-    known |= {
+def _accuracy(result: RegistrationResult) -> dict[str, str]:
+    """Return how accurate the accepted registration is."""
+    values = {'used': str(result.used), 'inliers': str(result.inliers)}
+    values |= {
         f'predicted_tre_m.{target}': f'{tre:.6f}'
         for target, tre in result.predicted_tre_m.items() if tre is not None
     }
     for name in ('sigma_m', 'runner_up_ratio'):
         if getattr(result, name) is not None:
-            known[name] = f'{getattr(result, name):.6f}'
+            values[name] = f'{getattr(result, name):.6f}'
     if result.weakest_direction is not None:
-        known['weakest_direction'] = result.weakest_direction.sentence
-    return known
+        values['weakest_direction'] = result.weakest_direction.sentence
+    return values
 
 
-def _live(live: LiveStatus) -> dict[str, str]:
-    """Return how the live registration stands."""
-    known = {'touch_next': live.touch_next, 'live.points': str(live.used),
-             'live.reason': '' if live.reason is None else str(live.reason)}
-    known |= {f'live.predicted_tre_m.{target}': f'{tre:.6f}'
-              for target, tre in live.predicted_tre_m.items()}
-    return known
+def _live_values(live: LiveStatus) -> dict[str, str]:
+    """Return the state of the live registration."""
+    values = {'touch_next': live.touch_next, 'live.points': str(live.used),
+              'live.reason': '' if live.reason is None else str(live.reason)}
+    values |= {f'live.predicted_tre_m.{target}': f'{tre:.6f}'
+               for target, tre in live.predicted_tre_m.items()}
+    return values

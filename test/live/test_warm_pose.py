@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pose that follows as points are added: as good as one found from all of them at once."""
+"""A pose updated point by point is as accurate as one solved from all points at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array, exp, inverse, transform
-from gsdf_registration.live.warm_pose import MOVED, WarmPose
+from gsdf_registration.live.warm_pose import NEIGHBOURHOOD_TOLERANCE, WarmPose
 from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.solver import solve
 
@@ -19,7 +19,7 @@ NEAR = exp([0.01, -0.01, 0.02, 0.0005, -0.0005, 0.001]) @ inverse(T_TRACKER_BONE
 
 @pytest.fixture(scope='module')
 def points() -> Array:
-    """Return points in an order as a probe gives them, each near to the one before."""
+    """Return points in the order of a probe, each near the one before."""
     seen = transform(T_TRACKER_BONE, touched(1200, 0, 2e-4))
     return seen[np.lexsort((seen[:, 1], np.round(seen[:, 0] / 0.002)))]
 
@@ -32,15 +32,15 @@ def warm(points: Array, config: Config = CONFIG, guess: Array = NEAR) -> WarmPos
 
 
 def apart(a: Array, b: Array, points: Array) -> float:
-    """Return how far points lie apart at two poses, m (RMS)."""
+    """Return the distance of points between two poses, m (RMS)."""
     return float(np.sqrt(((transform(a, points) - transform(b, points))**2).sum(axis=1).mean()))
 
 
-def test_points_added_one_by_one_lead_where_all_at_once_do(points: Array) -> None:
+def test_points_added_one_by_one_give_the_pose_of_all_at_once(points: Array) -> None:
     pose, whole = warm(points[::2]), warm(points)
     for point in points[1::2]:
         pose.add(point[None])
-    assert len(pose.points) > 0.9 * len(points)     # the others have few neighbours
+    assert len(pose.points) > 0.9 * len(points)     # the others are isolated
     found, wanted = pose.solution.T_bone_tracker, whole.solution.T_bone_tracker
     assert apart(found, wanted, points) < 5e-5
     assert apart(found, inverse(T_TRACKER_BONE), points) < 2e-4
@@ -48,7 +48,7 @@ def test_points_added_one_by_one_lead_where_all_at_once_do(points: Array) -> Non
     np.testing.assert_allclose(np.diag(pose.covariance), np.diag(whole.covariance), rtol=0.25)
 
 
-def test_the_covariance_falls_as_points_are_added(points: Array) -> None:
+def test_covariance_decreases_as_points_are_added(points: Array) -> None:
     pose = warm(points[:800])
     before = pose.covariance
     pose.add(points[800:])
@@ -57,7 +57,7 @@ def test_the_covariance_falls_as_points_are_added(points: Array) -> None:
     assert np.trace(pose.covariance) < np.trace(before)
 
 
-def test_an_error_of_the_model_is_allowed_for_until_all_is_looked_at_again() -> None:
+def test_keeps_the_correction_for_model_error_between_assessments() -> None:
     seen = off_the_model(touched(1000, 0, 2e-4), 0, 4e-4, 0.012)
     points = np.random.default_rng(0).permutation(transform(T_TRACKER_BONE, seen))
     pose = warm(points[:950])
@@ -73,14 +73,14 @@ def test_an_error_of_the_model_is_allowed_for_until_all_is_looked_at_again() -> 
                                rtol=0.3)
 
 
-def test_stray_points_are_left_out(points: Array) -> None:
+def test_ignores_isolated_points(points: Array) -> None:
     pose = warm(points)
     before = pose.solution
     pose.add(T_TRACKER_BONE[:3, 3] + 2.0 * (points[::200] - T_TRACKER_BONE[:3, 3]))
     assert pose.solution is before and len(pose.points) == len(points)
 
 
-def test_a_stroke_far_from_the_others_joins_once_it_is_dense(points: Array) -> None:
+def test_uses_a_distant_stroke_once_it_is_dense(points: Array) -> None:
     pose = warm(points[:1000])
     far = points[1100] + np.linspace(0.0, 0.004, 12)[:, None] * [0.0, 0.0, 1.0] + [0.0, 0.0, 0.1]
     for point in far:
@@ -88,17 +88,18 @@ def test_a_stroke_far_from_the_others_joins_once_it_is_dense(points: Array) -> N
     assert 1000 < len(pose.points) < 1012
 
 
-def test_no_more_points_are_taken_than_allowed(points: Array) -> None:
+def test_uses_at_most_the_configured_number_of_points(points: Array) -> None:
     pose = warm(points[:600], Config.from_flat({'live.max_points': 640}))
     pose.add(points[600:700])
     pose.add(points[700:])
     assert len(pose.points) == 640
 
 
-def test_a_pose_that_moves_far_has_its_neighbours_found_anew(points: Array) -> None:
+def test_recomputes_neighbourhoods_after_a_large_motion(points: Array) -> None:
     pose = warm(points[:700])
-    # as if it had been far off when its neighbours were found
-    pose._T_of_neighbours = exp([0.0, 0.0, 0.0, 2.0 * MOVED, 0.0, 0.0]) @ pose._T_of_neighbours
+    # as if the neighbourhoods had been computed at a distant pose
+    shift = exp([0.0, 0.0, 0.0, 2.0 * NEIGHBOURHOOD_TOLERANCE, 0.0, 0.0])
+    pose._T_at_restart = shift @ pose._T_at_restart
     pose.add(points[700:710])
-    assert pose._moved() < MOVED
+    assert pose._motion() < NEIGHBOURHOOD_TOLERANCE
     assert len(pose._neighbourhood) == 710

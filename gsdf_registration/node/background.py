@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One thread beside the executor for what takes long, so that points keep coming in meanwhile."""
+"""A background thread for long jobs, so that the executor keeps receiving points meanwhile."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from rclpy.task import Future
 Result = TypeVar('Result')
 
 
-class Worker:
+class BackgroundThread:
     """
-    Runs one job at a time off the executor.
+    Runs one job at a time outside the executor.
 
-    A single thread: two parallel numba kernels at once abort the process under its default
-    threading layer.
+    One thread only: two parallel numba kernels at the same time abort the process under the default
+    threading layer of numba.
     """
 
     def __init__(self) -> None:
         self._pool = concurrent.futures.ThreadPoolExecutor(max_workers=1,
-                                                           thread_name_prefix='worker')
+                                                           thread_name_prefix='background')
         self._job: concurrent.futures.Future[Any] | None = None
 
     @property
@@ -35,17 +35,18 @@ class Worker:
         """
         Return what ``job`` returns, or raise what it raises.
 
-        Awaited on ``executor``, which goes on.
+        To be awaited in a callback of ``executor``, which serves other callbacks meanwhile.
         """
         running = self._job = self._pool.submit(job)
         done: Future = Future(executor=executor)
-        # It does nothing, but that it is scheduled wakes the executor, which then resumes us.
+        # The callback itself does nothing, but scheduling it wakes the executor, which then resumes
+        # this coroutine.
         done.add_done_callback(lambda _: None)
         running.add_done_callback(lambda _: done.set_result(None))
         await done
         return running.result()
 
     def shutdown(self, timeout: float) -> bool:
-        """Take no further jobs; tell whether the running one ended within ``timeout`` seconds."""
+        """Accept no more jobs; return whether the running one ended within ``timeout`` seconds."""
         self._pool.shutdown(wait=False)
         return self._job is None or not concurrent.futures.wait([self._job], timeout).not_done
