@@ -33,6 +33,7 @@ from std_msgs.msg import Header
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
+from gsdf_registration.common.samples import Sample
 from msg_adapters import stamps
 from msg_adapters.motion import motion_from
 
@@ -58,10 +59,11 @@ def seconds_to_stamp(seconds: float) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def point_from(message: PointStamped) -> tuple[float, Array, str]:
-    """Return stamp (s), position (3,) m and frame of a point."""
+def sample_from(message: PointStamped, topic: str = '', arrival: float | None = None) -> Sample:
+    """Return a point of ``topic`` that arrived at local time ``arrival``, s, as a sample."""
     point, header = message.point, message.header
-    return stamp_to_seconds(header.stamp), np.array([point.x, point.y, point.z]), header.frame_id
+    return Sample(stamp_to_seconds(header.stamp), (point.x, point.y, point.z), header.frame_id,
+                  topic, arrival)
 
 
 def pose_from(message: PoseStamped) -> tuple[float, Array, str]:

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A session on disk: JSON to be read by people too, written in one step.
+A session file: readable JSON, written in one step.
 
-Schema "gsdf-session/2"; SI units, the frames by name; null is what is not known:
+Schema "gsdf-session/2"; SI units, frames by name; null means unknown:
 
-- ``saved``: when; ``versions``: of what wrote it; ``model_sha256``: of the bone it belongs to;
-- ``frames``: that of the ``points``, that of the last good ``pose``, and that of the ``bone``;
-- ``collecting``: whether points were being collected; ``sources``: the topics they came from;
-- ``rejected``: samples not kept, by cause;
-- ``landmarks``: name, place on the model, where the tip rested, its spread, stamp;
-- ``verifications``: where the tip rested, distance to the surface, stamp, number of the checkpoint
-  and how far that has moved since it was touched first;
-- ``result``: the last registration; ``pose_result``: the last good one;
-- ``parameters``: the settings it was made with, by dotted name;
-- ``points``: one a line, as ``columns`` says: its stroke, the number of its source (from 0), stamp,
-  position, and in the last good registration its residual and weight.
+- ``saved``: the time; ``versions``: of the software; ``model_sha256``: of the bone model;
+- ``frames``: of the ``points``, of the accepted ``pose``, and of the ``bone``;
+- ``collecting``: whether points were being collected; ``sources``: the topics of the points;
+- ``rejected``: number of rejected samples by cause;
+- ``landmarks``: name, model position, position of the stationary tip, its spread, stamp;
+- ``verifications``: position of the stationary tip, distance to the surface, stamp, number of the
+  checkpoint and how far it has moved since it was first touched;
+- ``result``: the last registration; ``pose_result``: the accepted registration;
+- ``parameters``: the settings by dotted name;
+- ``points``: one per line, with the columns in ``columns``: stroke, number of its source (from 0),
+  stamp, position, and its residual and weight in the accepted registration.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ SCHEMA = 'gsdf-session/2'
 
 def write_session(path: str | os.PathLike[str], session: dict[str, Any]) -> None:
     """
-    Write a session's plain values (`Session.to_dict`), replacing the file in one step.
+    Write a session record (`Session.to_dict`), replacing the file in one step.
 
     Raises
     ------
     InputError
-        If the file cannot be written, or a value is not finite or not plain; the old one stays.
+        If the file cannot be written, or a value is not finite or not plain; the old file stays.
 
     """
     try:
@@ -50,12 +50,12 @@ def write_session(path: str | os.PathLike[str], session: dict[str, Any]) -> None
 
 def read_session(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
-    Read what `write_session` wrote.
+    Read a session record from a file.
 
     Raises
     ------
     InputError
-        If the file is missing, damaged, or no session of this schema.
+        If the file is missing, damaged, or has another schema.
 
     """
     try:
@@ -63,17 +63,17 @@ def read_session(path: str | os.PathLike[str]) -> dict[str, Any]:
     except (json.JSONDecodeError, RecursionError):
         raise InputError(f'{path} is damaged: it is not valid JSON') from None
     if not isinstance(session, dict) or session.get('schema') != SCHEMA:
-        raise InputError(f'{path} is no session of schema {SCHEMA}')
+        raise InputError(f'{path} is not a session of schema {SCHEMA}')
     return session
 
 
 def now() -> str:
-    """Return the time, in UTC, to the second."""
+    """Return the present time in UTC, to the second."""
     return datetime.datetime.now(datetime.timezone.utc).isoformat(timespec='seconds')
 
 
 def _lines(value: Any, indent: str = '') -> Iterator[str]:
-    """Yield JSON text in which every list of mere numbers or words stands on one line."""
+    """Yield JSON text with every list of plain numbers or strings on one line."""
     inner = indent + '  '
     if isinstance(value, dict) and value:
         for count, (key, item) in enumerate(value.items()):

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What happens to a session, written line by line as it happens: a killed node goes on where it was.
+Journal of a session: every event is written as it happens, so that a killed node can resume.
 
-The first line is ``{"schema": "gsdf-journal/1", ...}``; each further one is an event and its value,
-see `gsdf_registration.session.events`: ``["point", [1, 0, 1700000000.0125, 0.1, 0.2, -1.3]]``.
-Every event is handed to the system at once, so that the death of the process loses none; a last
-line that is torn is left out.  Against a loss of power there is ``~/save``.
+The first line is ``{"schema": "gsdf-journal/1", ...}``.  Each further line is an event and its
+value: ``["point", [1, 0, 1700000000.0125, 0.1, 0.2, -1.3]]``; `gsdf_registration.session.events`
+lists the events.  Every event is passed to the operating system at once, so the death of the
+process loses none; an incomplete last line is ignored.  To survive a power loss, use ``~/save``.
 
-The file is made when there is something to keep.  One that is there already, and one whose session
-is cleared, is kept as ``.1``, and that of before as ``.2``.
+The file is created with the first event that is worth keeping.  An existing file, and the file of a
+session that is cleared, is kept as ``.1``, and an earlier one as ``.2``.
 """
 
 from __future__ import annotations
@@ -24,62 +24,62 @@ from typing import Any
 
 from gsdf_registration import __version__
 from gsdf_registration.common.result import InputError
-from gsdf_registration.session.events import Replay
 from msg_adapters.files import write_atomically
 from msg_adapters.session_file import now
 
 SCHEMA = 'gsdf-journal/1'
-STANDING = frozenset({'model', 'collecting'})   # what holds on in the next file
+PERSISTENT = frozenset({'model', 'collecting'})     # repeated at the start of the next file
 WORTH_KEEPING = frozenset({'point', 'landmark', 'verification', 'registration', 'pose'})
 
 
 def journal_path(session_path: str | os.PathLike[str]) -> Path:
-    """Return where the journal of a session lies that is saved to ``session_path``."""
+    """Return the path of the journal of a session that is saved to ``session_path``."""
     return Path(f'{os.fspath(session_path)}.journal')
 
 
 class SessionJournal:
     """
-    Listens to a session (`Session.listen`) and writes what it hears.
+    A session listener (`Session.listen`) that writes the events to a file.
 
     Parameters
     ----------
-    path : of the journal
-    complain : is told, once, when that cannot be written; nothing else happens then
+    path : Path
+    on_failure : callable
+        Receives a sentence, once, when the file cannot be written; nothing else happens then.
 
     """
 
-    def __init__(self, path: Path, complain: Callable[[str], None]) -> None:
+    def __init__(self, path: Path, on_failure: Callable[[str], None]) -> None:
         self.path = path
-        self._complain = complain
+        self._on_failure = on_failure
         self._file: int | None = None
-        self._standing: dict[str, str] = {}
-        self._ahead: list[str] = []     # heard, not written yet: nothing to keep, or only counts
+        self._persistent: dict[str, str] = {}
+        self._pending: list[str] = []   # not written yet: nothing worth keeping, or only counts
         self._rejected: dict[str, int] = {}
-        self._silent = False            # it failed
+        self._failed = False
         self._closed = False
         self._lock = threading.Lock()   # it may be closed while a registration still runs
 
     def __call__(self, event: str, value: Any) -> None:
-        """Take in an event; some microseconds for a point."""
+        """Record an event; takes some microseconds for a point."""
         with self._lock:
             if not self._closed:
-                self._take(event, value)
+                self._record(event, value)
 
     def begin(self, session: dict[str, Any]) -> None:
-        """Write anew, in one step, a journal that begins with ``session`` (`Session.to_dict`)."""
+        """Replace the file in one step by one that starts with ``session``, a session record."""
         with self._lock:
             self._begin(session)
 
     def close(self) -> None:
-        """Write what is left, and no more from now on."""
+        """Write what is pending, and ignore further events."""
         with self._lock:
             if self._file is not None:
-                self._write_ahead()
+                self._write_pending()
             self._close_file()
             self._closed = True
 
-    def _take(self, event: str, value: Any) -> None:
+    def _record(self, event: str, value: Any) -> None:
         if event == 'rejected':
             for cause, count in value.items():
                 self._rejected[cause] = self._rejected.get(cause, 0) + count
@@ -87,51 +87,51 @@ class SessionJournal:
             self._end_file(event == 'session')
             if event == 'session':
                 self._begin(value)
-        elif event in STANDING:
-            self._standing[event] = _line(event, value)
+        elif event in PERSISTENT:
+            self._persistent[event] = _line(event, value)
             if self._file is not None:
-                self._write(self._standing[event])
+                self._write(self._persistent[event])
         else:
-            self._ahead.append(_point_line(value) if event == 'point' else _line(event, value))
+            self._pending.append(_point_line(value) if event == 'point' else _line(event, value))
             if self._file is not None or event in WORTH_KEEPING:
-                self._write_ahead()
+                self._write_pending()
 
     def _begin(self, session: dict[str, Any]) -> None:
         try:
-            _refuse_if_in_use(self.path)
+            _check_not_in_use(self.path)
             write_atomically(self.path, _head() + _line('session', session))
             self._open(os.O_WRONLY | os.O_APPEND)
         except (InputError, OSError) as error:
             self._fail(error)
 
     def _end_file(self, even_of_others: bool) -> None:
-        """Keep what was written aside; the next file begins with the next thing to keep."""
+        """Set the present file aside; the next one starts with the next event worth keeping."""
         ours = self._file is not None
         self._close_file()
-        self._ahead, self._rejected, self._silent = [], {}, False
+        self._pending, self._rejected, self._failed = [], {}, False
         if ours or even_of_others:
             try:
-                _refuse_if_in_use(self.path)
+                _check_not_in_use(self.path)
                 set_aside(self.path)
             except OSError as error:
                 self._fail(error)
 
-    def _write_ahead(self) -> None:
+    def _write_pending(self) -> None:
         if self._rejected:
-            self._ahead.append(_line('rejected', self._rejected))
+            self._pending.append(_line('rejected', self._rejected))
             self._rejected = {}
-        self._write(''.join(self._ahead))
-        self._ahead.clear()
+        self._write(''.join(self._pending))
+        self._pending.clear()
 
     def _write(self, text: str) -> None:
-        if self._silent:
+        if self._failed:
             return
         try:
             if self._file is None:
-                _refuse_if_in_use(self.path)
+                _check_not_in_use(self.path)
                 set_aside(self.path)
                 self._open(os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL)
-                text = _head() + ''.join(self._standing.values()) + text
+                text = _head() + ''.join(self._persistent.values()) + text
             assert self._file is not None
             data = text.encode()
             if os.write(self._file, data) < len(data):
@@ -139,8 +139,8 @@ class SessionJournal:
         except OSError as error:
             self._fail(error)
 
-    def _open(self, how: int) -> None:
-        self._file = os.open(self.path, how | os.O_CLOEXEC, 0o644)
+    def _open(self, flags: int) -> None:
+        self._file = os.open(self.path, flags | os.O_CLOEXEC, 0o644)
         fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def _close_file(self) -> None:
@@ -150,50 +150,60 @@ class SessionJournal:
 
     def _fail(self, error: Exception) -> None:
         self._close_file()
-        if not self._silent:
-            words = error.strerror if isinstance(error, OSError) else error
-            self._complain(f'the journal {self.path} cannot be written: {words}; collecting goes '
-                           'on, but after a crash what comes from now on is not found again')
-        self._silent = True
+        if not self._failed:
+            cause = error.strerror if isinstance(error, OSError) else error
+            self._on_failure(f'the journal {self.path} cannot be written: {cause}; collecting '
+                             'continues, but what follows is lost if the node crashes')
+        self._failed = True
 
 
-def read_journal(path: Path) -> tuple[dict[str, Any], str] | None:
+def read_journal(path: Path, apply: Callable[[str, Any], None]) -> str | None:
     """
-    Return the session that a journal leads to, as `Session.to_dict`; None if there is no journal.
+    Pass the events of a journal, in order, to ``apply``.
 
-    A last line that is torn is left out.  Where a line is damaged, what comes before it is taken,
-    and the sentence returned says so; else that is empty.
+    An incomplete last line is ignored.  Reading stops at a damaged line.
+
+    Parameters
+    ----------
+    path : Path
+    apply : callable
+        Receives event and value.  If it raises ValueError, TypeError, KeyError, IndexError or
+        AttributeError, the line is damaged.
+
+    Returns
+    -------
+    str or None
+        A sentence on the damaged line; empty if there is none.  None if there is no journal.
 
     Raises
     ------
     InputError
-        If it is no journal, cannot be read, or another node is writing it.
+        If it is not a journal, cannot be read, or another node is writing it.
 
     """
     try:
-        _refuse_if_in_use(path)
-        *lines, _ = path.read_bytes().split(b'\n')     # what follows the last line end is torn
+        _check_not_in_use(path)
+        *lines, _ = path.read_bytes().split(b'\n')     # the last line, without an end, is incomplete
     except FileNotFoundError:
         return None
     except OSError as error:
         raise InputError(f'{path} cannot be read: {error.strerror}') from None
     if not lines or not _is_head(lines[0]):
-        raise InputError(f'{path} is no journal of schema {SCHEMA}')
-    replay = Replay()
+        raise InputError(f'{path} is not a journal of schema {SCHEMA}')
     for number, line in enumerate(lines[1:], 2):
         try:
             event, value = json.loads(line)
-            replay.take(event, value)
+            apply(event, value)
         except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError):
-            return replay.session, f'line {number} of {path} is damaged; what follows is left out'
-    return replay.session, ''
+            return f'line {number} of {path} is damaged; what follows is ignored'
+    return ''
 
 
 def set_aside(path: Path) -> Path | None:
     """
-    Rename a journal to ``.1``, the one so named before to ``.2``; return its new name.
+    Rename a journal to ``.1``, and an earlier ``.1`` to ``.2``; return its new path.
 
-    None if there is none.  Raises OSError.
+    None if there is no journal.  Raises OSError.
     """
     first, second = (path.with_name(f'{path.name}.{number}') for number in (1, 2))
     if not path.exists():
@@ -204,7 +214,7 @@ def set_aside(path: Path) -> Path | None:
     return first
 
 
-def _refuse_if_in_use(path: Path) -> None:
+def _check_not_in_use(path: Path) -> None:
     """Raise OSError if another process, or another journal of this one, writes the file."""
     try:
         file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
@@ -213,7 +223,8 @@ def _refuse_if_in_use(path: Path) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise OSError(errno.EBUSY, 'another node writes it; give each a session.path') from None
+        raise OSError(errno.EBUSY,
+                      'another node writes it; give each node its own session.path') from None
     finally:
         os.close(file)
 
@@ -235,6 +246,6 @@ def _line(event: str, value: Any) -> str:
 
 
 def _point_line(value: Any) -> str:
-    """Return what `_line` would, in a fraction of the time."""
+    """Return the same text as `_line`, in a fraction of the time."""
     stroke, source, stamp, x, y, z = value
     return f'["point", [{stroke}, {source}, {stamp!r}, {x!r}, {y!r}, {z!r}]]\n'

@@ -1,6 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an operator does, and all that must be held for it; no ROS, no files."""
+"""The session: points, landmarks, strokes, registrations and verification, without ROS or files."""
 
-from gsdf_registration.session.session import Answer, LandmarkPairs, Session, Status
+from gsdf_registration.session.session import (
+    Answer,
+    LandmarkPairs,
+    Session,
+    Status,
+    restart_notice,
+)
 
-__all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
+__all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status', 'restart_notice']

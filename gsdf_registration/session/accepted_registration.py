@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last good pose, and the points it was found with: what is still true of it."""
+"""The accepted registration: its result and the points it was computed from."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from gsdf_registration.registration.stroke_report import StrokeReport, report
 
 @dataclass(frozen=True, eq=False)
 class AcceptedRegistration:
-    """A good registration of n points; ``serials`` (n,) are theirs in the collection, rising."""
+    """A successful registration of n points; points and serials are views, see `Collection`."""
 
     result: RegistrationResult
     points: Points
-    serials: NDArray[np.int64]
+    serials: NDArray[np.int64]      # (n,) of the points in the collection, ascending
     frame_id: str       # of the points, and so of the pose
 
     def outdated(self, serials: NDArray[np.int64]) -> bool:
-        """Tell whether any of its points is missing from those now held, ``serials`` (m,)."""
+        """Return whether any of its points is missing in the collection, ``serials`` (m,)."""
         return not np.isin(self.serials, serials, assume_unique=True).all()
 
     def fit(self, serials: NDArray[np.int64]) -> tuple[Array, Array]:
         """
-        Return residuals, m, and weights (m,) of the points now held.
+        Return residuals, m, and weights (m,) of the points in the collection, ``serials`` (m,).
 
-        Where a point was not given to the registration, its weight is NaN; where it was left out as
-        a stray, only its residual is.
+        The weight of a point that was not registered is NaN.  The residual is NaN also for a point
+        that the registration left out as an outlier.
         """
         residuals, weights = np.full(len(serials), np.nan), np.full(len(serials), np.nan)
         if self.result.residuals_m is not None and self.result.weights is not None:
             row = np.searchsorted(self.serials, serials)
-            in_it = row < len(self.serials)
-            in_it[in_it] = self.serials[row[in_it]] == serials[in_it]
-            residuals[in_it] = self.result.residuals_m[row[in_it]]
-            weights[in_it] = self.result.weights[row[in_it]]
+            registered = row < len(self.serials)
+            registered[registered] = self.serials[row[registered]] == serials[registered]
+            residuals[registered] = self.result.residuals_m[row[registered]]
+            weights[registered] = self.result.weights[row[registered]]
         return residuals, weights
 
     def reports(self, points: Points, serials: NDArray[np.int64]) -> tuple[StrokeReport, ...]:
-        """Return what the strokes of ``points`` now held, those that were in it, are worth."""
+        """Return a report of each stroke of ``points``, for the points that were registered."""
         residuals, weights = self.fit(serials)
-        in_it = ~np.isnan(weights)
-        return tuple(report(Points(*(column[in_it] for column in points)), residuals[in_it],
-                            weights[in_it]))
+        registered = ~np.isnan(weights)
+        return tuple(report(Points(*(column[registered] for column in points)),
+                            residuals[registered], weights[registered]))
 
-    def holds(self, source: int, since: float) -> bool:
-        """Tell whether it was found with anything that ``source`` delivered ``since`` then, s."""
+    def uses(self, source: int, since: float) -> bool:
+        """Return whether it used a point of ``source`` stamped ``since``, s, or later."""
         return bool(((self.points.sources == source) & (self.points.stamps >= since)).any())

@@ -1,34 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The points a probe delivers: which are believed, how they are held, to which stroke they belong.
+Collected points: which samples are accepted, to which stroke they belong, how they are stored.
 
-A point passes two rows of gates, and is counted under the first that stops it.  The first row looks
-at the sample alone and is judged whether we collect or not: finite, in the frame of the session,
-later than the last of its source, fresh, of good quality.  The second asks whether it may join the
-collection: are we collecting, is it new, could the tip have got there, is there room.
+A sample passes two groups of checks and is counted under the first that fails.  The first group
+checks the sample itself, whether points are collected or not: finite, in the session frame, later
+than the last of its source, not stale, of good quality.  The second group decides whether it joins
+the collection: collecting, not a duplicate, not too fast, not full.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsdf_registration.common.config import GateConfig
+from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import InputError
-from gsdf_registration.common.rigid import FARTHEST
-from gsdf_registration.common.samples import Points, Position, Rejection
+from gsdf_registration.common.rigid import MAX_COORDINATE
+from gsdf_registration.common.samples import Points, Position, Rejection, Sample
 from gsdf_registration.session.tip_stream import TipStream
 
-FIRST_ROOM = 1024   # points
+INITIAL_CAPACITY = 1024     # points
 
 
 @dataclass
 class Stroke:
-    """A stroke: its number, its points, and what split it from the one before, if no call did."""
+    """A stroke: its number, its number of points, and what split it from the one before, if any."""
 
     number: int
     points: int = 0
@@ -37,62 +36,64 @@ class Stroke:
 
 class Collection:
     """
-    Points of a session behind their gates, strokes numbered, refusals counted; not thread-safe.
+    Points of a session with their strokes, and the count of rejected samples; not thread-safe.
 
-    A stroke is what one source delivers between `start_stroke` and `end_stroke`; a silence longer
-    than ``gate.max_gap``, a jump, or the tip lifting off or landing splits it.
+    A stroke contains the points of one source between `start_stroke` and `end_stroke`.  A silence
+    longer than ``gate.max_gap``, a jump, or the tip lifting off or landing splits it.
+
+    The arrays returned are read-only views.  Rows once written never change: points are appended,
+    and dropping points allocates new arrays.
 
     Parameters
     ----------
-    gate : GateConfig
-    max_points : int
-        Points held at most; further ones are refused as `Rejection.FULL`, none is forgotten.
     frame_id : str
-        Frame the points must be in; empty: that of the first finite one.
+        Frame of the points; empty: the frame of the first finite sample.
 
     """
 
-    def __init__(self, gate: GateConfig, max_points: int, frame_id: str = '') -> None:
-        self.gate = gate
-        self.max_points = max_points
+    def __init__(self, frame_id: str = '') -> None:
         self.collecting = False
-        self.wanted_frame = frame_id
         self._next_serial = 0
-        self.clear()
+        self.clear(frame_id)
 
-    def clear(self) -> None:
-        """Forget all points, counts, stamps and the frame learnt; go on collecting, or not."""
-        self.frame_id: str | None = self.wanted_frame or None      # None: not known yet
+    def clear(self, frame_id: str = '') -> None:
+        """Drop all points, counts and stamps; ``collecting`` stays."""
+        self.expect_frame(frame_id)
         self.received = 0
         self.undone = 0
         self.counts = {str(cause): 0 for cause in Rejection}
-        self._points = _room_for(FIRST_ROOM)
-        self._serials = np.empty(FIRST_ROOM, np.int64)
+        self._points = _allocate(INITIAL_CAPACITY)
+        self._serials = np.empty(INITIAL_CAPACITY, np.int64)
         self._size = 0
         self._streams: dict[int, TipStream] = {}
         self._strokes: dict[int, Stroke] = {}
         self._next_stroke = 1
-        self.last_stroke = 0    # of the point kept last
+        self._recorded_stroke: int | None = None    # `Sample.stroke` of the last sample
+        self.last_stroke = 0    # of the last point
+
+    def expect_frame(self, frame_id: str) -> None:
+        """Accept points in this frame only; empty: in the frame of the next sample."""
+        self.frame_id: str | None = frame_id or None    # None: not known yet
 
     def __len__(self) -> int:
-        """Return the number of points held."""
+        """Return the number of points."""
         return self._size
 
     @property
     def strokes(self) -> int:
-        """Number of strokes that hold points."""
+        """Number of strokes that contain points."""
         return len(self._strokes)
 
-    def arrays(self, begin: int = 0) -> Points:
-        """Return a copy of the points held, from row ``begin`` on."""
-        return Points(*(column[begin:self._size].copy() for column in self._points))
+    def points(self, begin: int = 0) -> Points:
+        """Return the points from row ``begin`` on, as read-only views."""
+        return Points(*(_read_only(column[begin:self._size]) for column in self._points))
 
     def serials(self) -> NDArray[np.int64]:
-        """Return a number for each point held (n,), rising, that stays when others are dropped."""
-        return self._serials[:self._size].copy()
+        """Return a number for each point (n,), ascending, which other points' removal keeps."""
+        return _read_only(self._serials[:self._size])
 
     def start_stroke(self) -> None:
-        """Collect from now on; the next point of each source starts a stroke."""
+        """Start collecting; the next point of each source starts a stroke."""
         self.collecting = True
         for stream in self._streams.values():
             stream.begin_stroke()
@@ -102,7 +103,7 @@ class Collection:
         self.collecting = False
 
     def undo(self) -> Stroke | None:
-        """Drop the stroke begun last and return it; None when there is none."""
+        """Drop the stroke begun last and return it; None if there is none."""
         if not self._strokes:
             return None
         last = self._strokes[max(self._strokes)]
@@ -112,31 +113,35 @@ class Collection:
 
     def withdraw(self, source: int, since: float, place: Position, radius: float) -> int:
         """
-        Drop what ``source`` delivered since it came to rest, and hold back what it still does.
+        Drop the points of a stationary tip, and reject further ones until it has moved away.
 
         Parameters
         ----------
-        since : float, s, when it came to rest
-        place : (3,) m, where it rests; until it has left that by more than ``radius``, m, nothing
-            of it is kept
+        source : int
+        since : float
+            When the tip became stationary, s.
+        place : (3,) float
+            Where it is stationary, m.
+        radius : float
+            Points of this source are rejected until one is farther than this from ``place``, m.
 
         Returns
         -------
         int
-            Points dropped; they are counted as `Rejection.TOUCHED`.
+            Number of points dropped; they are counted as `Rejection.TOUCHED`.
 
         """
-        mask = (self._points.sources[:self._size] == source) & (self._points.stamps[:self._size]
-                                                                >= since)
+        mask = ((self._points.sources[:self._size] == source)
+                & (self._points.stamps[:self._size] >= since))
         dropped = int(mask.sum())
         if dropped:
             self._drop(mask)
             self.counts[Rejection.TOUCHED.value] += dropped
-        self._stream(source).rest(place, radius)
+        self._stream(source).exclude(place, radius)
         return dropped
 
     def _drop(self, mask: NDArray[np.bool_]) -> None:
-        """Forget the rows of ``mask`` (n,), and strokes that then hold none."""
+        """Remove the rows of ``mask`` (n,), and strokes that are then empty."""
         numbers, sizes = np.unique(self._points.strokes[:self._size][mask], return_counts=True)
         for number, size in zip(numbers.tolist(), sizes.tolist()):
             if size == self._strokes[number].points:
@@ -147,52 +152,57 @@ class Collection:
             if stream.stroke not in self._strokes:
                 stream.begin_stroke()
         keep = np.flatnonzero(~mask)
-        for column in (*self._points, self._serials):
-            column[:len(keep)] = column[keep]
-        self._size = len(keep)
+        self._store(Points(*(column[keep] for column in self._points)), self._serials[keep])
 
-    def add(self, stamp: float, position: Sequence[float], frame_id: str, source: int = 0,
-            arrival: float | None = None, quality: float | None = None) -> Rejection | None:
+    def _store(self, points: Points, serials: NDArray[np.int64]) -> None:
+        """Store copies of these points (n,), with room for more."""
+        room = _allocate(INITIAL_CAPACITY)
+        self._points = Points(*(np.concatenate(pair) for pair in zip(points, room)))
+        self._serials = np.concatenate([serials, np.empty(INITIAL_CAPACITY, np.int64)])
+        self._size = len(serials)
+
+    def add(self, sample: Sample, source: int, config: Config) -> Rejection | None:
         """
-        Take in one point, or say why not; some microseconds.
+        Add a sample, or return why it is rejected; takes some microseconds.
+
+        The first sample of a source decides whether its stamps use the local clock: if they are
+        within ``gate.max_age`` of the arrival.  Only then can a later sample be stale; a recording
+        that is played back has a clock of its own and is never too old, however slow the playback.
 
         Parameters
         ----------
-        stamp : float
-            When it was measured, seconds on the clock of the source.
-        position : (3,) float
-            Metres in ``frame_id``.
+        sample : Sample
         source : int
-            Which stream it belongs to; stamps, speed, duplicates and strokes are judged a stream.
-        arrival : float, optional
-            When it came in, seconds on our clock.  The first point of a source decides whether its
-            stamps are on our clock too: within ``gate.max_age`` of the arrival.  Only then a later
-            one can be stale; a recording played back has a clock of its own and is never too old,
-            however slowly it is played.
-        quality : float, optional
-            What the tracker says of its error, metres; NaN: it does not know.
+            Number of its topic; stamps, speed, duplicates and strokes are checked per source.
+        config : Config
 
         Returns
         -------
         Rejection or None
-            None when the point was kept.
+            None if the point was added.
 
         """
         self.received += 1
-        x, y, z = position
-        point = (float(x), float(y), float(z))
+        if self.collecting:
+            self._follow_recorded_strokes(sample.stroke)
         stream = self._stream(source)
-        cause = (self._fault_of_sample(stamp, point, frame_id)
-                 or stream.fault_of_sample(stamp, arrival, quality, self.gate)
+        cause = (self._check_values(sample)
+                 or stream.check_sample(sample, config.gate)
                  or (None if self.collecting else Rejection.NOT_COLLECTING)
-                 or stream.fault_in_stream(stamp, point, self.gate)
-                 or (Rejection.FULL if self._size >= self.max_points else None))
+                 or stream.check_path(sample.stamp, sample.position, config.gate)
+                 or (Rejection.FULL if self._size >= config.collect.max_points else None))
         if cause is not None:
             self.counts[cause.value] += 1
             return cause
-        stream.keep(stamp, point, self.gate)
-        self._keep(stream, source, stamp, point)
+        stream.accept(sample.stamp, sample.position, config.gate)
+        self._append(stream, source, sample)
         return None
+
+    def _follow_recorded_strokes(self, number: int) -> None:
+        """Start a stroke if the stroke number of a recording changes."""
+        if self._recorded_stroke not in (None, number):
+            self.start_stroke()
+        self._recorded_stroke = number
 
     def _stream(self, source: int) -> TipStream:
         stream = self._streams.get(source)
@@ -200,16 +210,16 @@ class Collection:
             stream = self._streams[source] = TipStream()
         return stream
 
-    def _fault_of_sample(self, stamp: float, point: Position, frame_id: str) -> Rejection | None:
-        x, y, z = point
-        if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(z) < FARTHEST
-                and math.isfinite(stamp)):
+    def _check_values(self, sample: Sample) -> Rejection | None:
+        x, y, z = sample.position
+        if not (abs(x) < MAX_COORDINATE and abs(y) < MAX_COORDINATE and abs(z) < MAX_COORDINATE
+                and math.isfinite(sample.stamp)):
             return Rejection.NOT_FINITE
         if self.frame_id is None:
-            self.frame_id = frame_id
-        return Rejection.WRONG_FRAME if frame_id != self.frame_id else None
+            self.frame_id = sample.frame_id
+        return Rejection.WRONG_FRAME if sample.frame_id != self.frame_id else None
 
-    def _keep(self, stream: TipStream, source: int, stamp: float, point: Position) -> None:
+    def _append(self, stream: TipStream, source: int, sample: Sample) -> None:
         if stream.stroke is None:
             stream.stroke = self._next_stroke
             self._strokes[stream.stroke] = Stroke(stream.stroke, 0, stream.split_by)
@@ -219,8 +229,8 @@ class Collection:
             self._points = Points(*(
                 np.concatenate([column, np.empty_like(column)]) for column in self._points))
             self._serials = np.concatenate([self._serials, np.empty_like(self._serials)])
-        self._points.positions[row] = point
-        self._points.stamps[row] = stamp
+        self._points.positions[row] = sample.position
+        self._points.stamps[row] = sample.stamp
         self._points.strokes[row] = self.last_stroke = stream.stroke
         self._points.sources[row] = source
         self._serials[row] = self._next_serial
@@ -228,34 +238,28 @@ class Collection:
         self._size = row + 1
         self._strokes[stream.stroke].points += 1
 
-    def want_frame(self, frame_id: str) -> None:
-        """Expect points in this frame from now on; empty: in that of the next one."""
-        self.wanted_frame = frame_id
-        self.frame_id = frame_id or None
-
-    def refill(self, points: Points, frame_id: str | None, counts: dict[str, int]) -> None:
+    def restore(self, points: Points, frame_id: str | None, counts: dict[str, int],
+                config: Config) -> None:
         """
-        Hold these points instead, as saved by an earlier session.
+        Replace the points by the ones of a saved session.
 
         Raises
         ------
         InputError
-            When they are too many, or in another frame than wanted; nothing is changed then.
+            If they are too many, or not in the frame of the settings; nothing is changed then.
 
         """
-        if len(points.stamps) > self.max_points:
+        if len(points.stamps) > config.collect.max_points:
             raise InputError(f'{len(points.stamps)} points are more than collect.max_points allows '
-                             f'({self.max_points})')
-        if self.wanted_frame and frame_id not in (None, self.wanted_frame):
+                             f'({config.collect.max_points})')
+        expected = config.points_frame
+        if expected and frame_id not in (None, expected):
             raise InputError(f'the points are in frame "{frame_id}", but probe.frame_id is '
-                             f'"{self.wanted_frame}"')
-        self.clear()
-        self.frame_id = self.frame_id if frame_id is None else frame_id
-        self._points = Points(*(
-            np.concatenate([column, room]) for column, room in zip(points, _room_for(FIRST_ROOM))))
-        self._size = len(points.stamps)
-        self._serials = self._next_serial + np.arange(self._size + FIRST_ROOM)
-        self._next_serial += self._size
+                             f'"{expected}"')
+        self.clear(expected if frame_id is None else frame_id)
+        size = len(points.stamps)
+        self._store(points, self._next_serial + np.arange(size))
+        self._next_serial += size
         numbers, sizes = np.unique(points.strokes, return_counts=True)
         self._strokes = {number: Stroke(number, size)
                          for number, size in zip(numbers.tolist(), sizes.tolist())}
@@ -264,6 +268,12 @@ class Collection:
         self.received = self._size + sum(self.counts.values())
 
 
-def _room_for(count: int) -> Points:
+def _allocate(count: int) -> Points:
     return Points(np.empty((count, 3)), np.empty(count), np.empty(count, np.int32),
                   np.empty(count, np.int32))
+
+
+def _read_only(column: NDArray) -> NDArray:
+    view = column.view()
+    view.flags.writeable = False
+    return view

@@ -1,28 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What happens to a session, event by event, and the session that follows from it.
+The events of a session, and the session record that results from them.
 
-Who listens to a session (`Session.listen`) is told, in order, every change of what it holds; each
-value is made of what JSON knows:
+A listener (`Session.listen`) receives every change of the session, in order, as an event and its
+value.  Values are plain, ready for JSON:
 
 ============  ======================================================================================
 event         value
 ============  ======================================================================================
-model         SHA-256 of the bone, or None; the first event of all
-clear         None: all is dropped but the model; the sources and the pose that stands follow
-session       a whole session that takes the place of what was held, as `SessionRecord.to_dict`
-collecting    whether points are collected from now on
+model         SHA-256 of the bone, or None; the first event
+clear         everything except the model is dropped; sources and accepted registration follow.
+              Why, if the operator did not ask for it; else None
+session       a whole session that replaces the state, as `SessionRecord.to_dict`
+collecting    whether points are collected
 frame         name of the frame of the points
-source        name of a source; the first one is number 0
-point         [stroke, source, stamp, x, y, z], kept; s and m
-rejected      {cause: number} of points not kept
+source        topic of a new source; the first has number 0
+point         [stroke, source, stamp, x, y, z] of an added point; s and m
+rejected      {cause: number} of rejected samples
 undo          number of the stroke dropped
-withdrawn     [source, stamp]: what that source delivered since then is dropped
-landmark      as in the session
-verification  as in the session
-registration  {result, pose_frame_id, verifications: measured anew, fit: [residual, weight] of each
-              point held, or None}; the last three are None for a refusal
-pose          [frame, result]: a good registration that stands although its points were dropped
+withdrawn     [source, stamp]: the points of this source from this stamp on are dropped
+landmark      as in the session record
+verification  as in the session record
+registration  {result, pose_frame_id, verifications: measured again, fit: [residual, weight] of each
+              point, or None}; the last three are None after a refusal
+pose          [frame, result] of the accepted registration, whose points were dropped
 ============  ======================================================================================
 """
 
@@ -37,20 +38,19 @@ Listener = Callable[[str, Any], None]
 
 
 class Replay:
-    """Follows events and knows the session they lead to, as `SessionRecord.to_dict` gives it."""
+    """Applies events to a session record, see `SessionRecord.to_dict`."""
 
     def __init__(self) -> None:
         self.session: dict[str, Any] = empty_record(None)
 
-    def take(self, event: str, value: Any) -> None:
+    def apply(self, event: str, value: Any) -> None:
         """
-        Take in one event.
+        Apply one event.
 
         Raises
         ------
         KeyError, TypeError, ValueError, IndexError
-            When it is none, or its value is not what it must be; the session is then not to be used
-            any more.
+            If the event is unknown or its value is not valid; the record is unusable afterwards.
 
         """
         session, points = self.session, self.session['points']
@@ -78,14 +78,14 @@ class Replay:
         elif event == 'pose':
             session['frames']['pose'], session['pose_result'] = value
         elif event == 'model':
-            self._take_model(value)
+            self._set_model(value)
         elif event == 'clear':
             self.session = empty_record(session['model_sha256']) | {
                 'collecting': session['collecting']}
         elif event == 'session':
             self.session = {**empty_record(None), **value}
         else:
-            raise ValueError(f'there is no event "{event}"')
+            raise ValueError(f'unknown event "{event}"')
 
     def _register(self, value: dict[str, Any]) -> None:
         session = self.session
@@ -98,7 +98,7 @@ class Replay:
         for row, fit in zip(session['points'], value['fit'], strict=True):
             row[FIT:] = fit or [None, None]
 
-    def _take_model(self, model_sha256: str | None) -> None:
+    def _set_model(self, model_sha256: str | None) -> None:
         session = self.session
         if session['model_sha256'] != model_sha256:
             session |= {'result': None, 'pose_result': None, 'verifications': []}

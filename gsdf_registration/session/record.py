@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A session in plain lists and numbers, bound to its bone: what is saved and loaded.
+A session as plain lists and numbers, bound to its bone: the content of a session file.
 
-SI units, the frames by name.  ``points`` has a row for each point held: its stroke (from 1), the
-number of its source in ``sources`` (from 0), its stamp, its position in frame ``frames.points``,
-and, if it was given to the last good registration, its residual (null: left out as a stray) and its
-weight there.
+SI units, frames by name.  ``points`` has a row for each point: its stroke (from 1), the index of
+its source in ``sources``, its stamp, its position in frame ``frames.points``, and, if the accepted
+registration used it, its residual (null: left out as an outlier) and its weight.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import math
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import numba
@@ -23,6 +21,7 @@ import numpy as np
 
 from gsdf_registration import __version__
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult, WeakestDirection
 from gsdf_registration.common.rigid import Array, is_rigid
 from gsdf_registration.common.samples import Points
@@ -31,20 +30,21 @@ from gsdf_registration.session.verification import Verification
 
 COLUMNS = ('stroke', 'source', 'stamp', 'x', 'y', 'z', 'residual', 'weight')
 STROKE, SOURCE, STAMP, FIT = 0, 1, 2, 6
-_PER_POINT = ('residuals_m', 'weights', 'history')      # the first two stand with the points
+# fields of a result that a record leaves out; the first two are columns of `points`
+_PER_POINT = ('residuals_m', 'weights', 'history')
 
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """All that a session must remember."""
+    """The state of a session without its settings."""
 
-    model_sha256: str | None            # None: points were collected before a bone was loaded
+    model_sha256: str | None            # None: no bone was loaded yet
     frame_id: str | None
     collecting: bool
     source_names: list[str]
-    points: Points                      # n of them
-    residuals: Array                    # (n,) m, at the last good pose; NaN: not known
-    weights: Array                      # (n,) NaN: the point was not given to that registration
+    points: Points                      # (n,)
+    residuals: Array                    # (n,) m, at the accepted registration; NaN: unknown
+    weights: Array                      # (n,) NaN: the point was not registered
     rejected: dict[str, int]
     landmarks: list[CapturedLandmark]
     verifications: list[Verification]
@@ -53,7 +53,7 @@ class SessionRecord:
     pose_frame_id: str
 
     def to_dict(self, config: Config) -> dict[str, Any]:
-        """Return the record with the settings and the versions, ready for JSON."""
+        """Return the record with settings and versions, ready for JSON."""
         return empty_record(self.model_sha256) | {
             'versions': {'gsdf_registration': __version__, 'python': platform.python_version(),
                          'numpy': np.__version__, 'numba': numba.__version__},
@@ -61,25 +61,25 @@ class SessionRecord:
                        'bone': config.model.frame_id},
             'collecting': self.collecting, 'sources': self.source_names,
             'rejected': self.rejected, 'landmarks': plain(self.landmarks),
-            'verifications': plain(self.verifications), 'result': plain(self.result),
-            'pose_result': plain(self.pose_result), 'parameters': config.flat(),
+            'verifications': plain(self.verifications), 'result': result_to_dict(self.result),
+            'pose_result': result_to_dict(self.pose_result), 'parameters': config.flat(),
             'points': _rows(self.points, fit_of(self.residuals, self.weights))}
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], model_sha256: str) -> SessionRecord:
         """
-        Return the record of a session with the bone of that hash.
+        Return the record of a session with the bone of this hash.
 
         Raises
         ------
         InputError
-            When it is of another bone, or damaged.
+            If it belongs to another bone, or is damaged.
 
         """
         try:
             if record['model_sha256'] not in (None, model_sha256):
                 raise InputError(
-                    'the session belongs to another bone model; load the model it was made with')
+                    'the session belongs to another bone model; load the one it was recorded with')
             frame_id, sources = record['frames']['points'], record['sources']
             points, residuals, weights = _columns(record['points'], len(sources))
             return cls(
@@ -100,7 +100,7 @@ class SessionRecord:
 
 
 def empty_record(model_sha256: str | None) -> dict[str, Any]:
-    """Return the record of a session that holds nothing; its keys are those of every record."""
+    """Return the record of an empty session, with all keys of a record."""
     return {'versions': {}, 'model_sha256': model_sha256,
             'frames': {'points': None, 'pose': '', 'bone': ''}, 'collecting': False,
             'sources': [], 'rejected': {}, 'landmarks': [], 'verifications': [], 'result': None,
@@ -108,26 +108,15 @@ def empty_record(model_sha256: str | None) -> dict[str, Any]:
 
 
 def fit_of(residuals: Array, weights: Array) -> list[list[float | None] | None]:
-    """Return [residual, weight] of each point (n,), None where it was not registered."""
+    """Return [residual, weight] of each point (n,); None if it was not registered."""
     return [None if weight != weight else [None if residual != residual else residual, weight]
             for residual, weight in zip(residuals.round(7).tolist(), weights.round(4).tolist())]
 
 
-def plain(value: Any) -> Any:
-    """Return dataclasses, arrays, enums as dicts, lists and numbers; non-finite numbers as None."""
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {key: plain(item) for key, item in vars(value).items() if key not in _PER_POINT}
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def result_to_dict(result: RegistrationResult | None) -> dict[str, Any] | None:
+    """Return a result in plain values, without the fields per point."""
+    values: dict[str, Any] | None = plain(result, _PER_POINT)
+    return values
 
 
 def _rows(points: Points, fit: list[list[float | None] | None]) -> list[list[Any]]:
@@ -142,10 +131,10 @@ def _columns(rows: list[list[Any]], sources: int) -> tuple[Points, Array, Array]
     table = np.array(rows, np.float64).reshape(-1, len(COLUMNS))
     numbers = table[:, [STROKE, SOURCE]]
     if len(table) != len(rows) or not np.isfinite(table[:, :FIT]).all():
-        raise ValueError(f'its points are not rows of {", ".join(COLUMNS)}')
+        raise ValueError(f'the points are not rows of {", ".join(COLUMNS)}')
     if (numbers % 1.0 != 0.0).any() or not (
             (numbers >= [1.0, 0.0]) & (numbers < [2.0**31, sources])).all():
-        raise ValueError('a point is of no stroke or of no source')
+        raise ValueError('a point has no valid stroke or source')
     return (Points(table[:, 3:FIT].copy(), table[:, STAMP].copy(),
                    table[:, STROKE].astype(np.int32), table[:, SOURCE].astype(np.int32)),
             table[:, FIT].copy(), table[:, FIT + 1].copy())
@@ -179,5 +168,5 @@ def _result(values: Mapping[str, Any] | None) -> RegistrationResult | None:
             'pitch_m_per_rad': math.inf if pitch is None else pitch})
     result = RegistrationResult(**{**values, 'reason': Reason(values['reason'])})
     if result.success and (result.T_tracker_bone is None or not is_rigid(result.T_tracker_bone)):
-        raise ValueError('a registration without a proper pose')
+        raise ValueError('the registration has no valid pose')
     return result

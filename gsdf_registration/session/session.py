@@ -1,32 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What an operator does: touch landmarks, collect strokes, undo, register, verify.
+The work of an operator: capture landmarks, collect strokes, undo, register, verify.
 
-The node and the offline replay drive this very class.  It knows nothing of ROS or files and may be
-called from any thread: points go in while a registration runs.
+The node and the offline replay use this class.  It needs neither ROS nor files, and may be called
+from any thread: points are added while a registration runs.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import Points, Rejection
+from gsdf_registration.common.samples import Points, Rejection, Sample
 from gsdf_registration.field import Field
 from gsdf_registration.registration.pipeline import register
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
 from gsdf_registration.session.events import Listener
 from gsdf_registration.session.landmark_capture import Answer
-from gsdf_registration.session.news import News
+from gsdf_registration.session.notices import Notices
 from gsdf_registration.session.record import SessionRecord
 from gsdf_registration.session.state import SessionState
-from gsdf_registration.session.status import Status, held, pose_stands, status_of
+from gsdf_registration.session.status import Status, accepted_stays, count_points, make_status
 
 __all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
 
@@ -34,128 +34,152 @@ LandmarkPairs = tuple[Array, Array]     # (k, 3) model, bone frame; (k, 3) track
 
 
 class Session:
-    """One bone, whose field may come later; one probe or several; one operator; thread-safe."""
+    """
+    One bone, whose model may be loaded later, and one or more probes; thread-safe.
+
+    It is the `SampleSink` of the point transformer.
+    """
 
     def __init__(self, config: Config, field: Field | None = None) -> None:
         self._lock = threading.Lock()
-        self._holds = SessionState(config, field)
+        self._state = SessionState(config, field)
+        self._notices = Notices(self._state)
         self._solving = False
-        self._news = News(self._holds)
-        # changes with the model and when points are dropped: older solves are void
-        self._era = 0
+        # changes when the model changes or points are dropped: a running registration is then void
+        self._generation = 0
+
+    @property
+    def config(self) -> Config:
+        """Settings in force."""
+        return self._state.config
 
     def listen(self, listener: Listener, from_start: bool = False) -> None:
         """
-        Tell ``listener`` every change of what is held, see `session_events`.
+        Report every change to ``listener``, see `session.events`; several may listen.
 
-        It is called with the session locked, in the thread that changes it: it must not call the
-        session, nor raise, nor take long.  ``from_start``: also of what is held by now.
+        It is called in the thread that makes the change, while the session is locked: it must not
+        call the session, raise, or block.  ``from_start``: also report the present state.
         """
         with self._lock:
-            self._holds.listen(listener)
-            if from_start:
-                self._holds.tell_all()
+            self._state.listen(listener, from_start)
 
-    def remark(self, text: str) -> None:
-        """Have the status say this too, until the operator has gone on, cleared or registered."""
+    def stop_listening(self, listener: Listener) -> None:
+        """Report no further changes to ``listener``."""
         with self._lock:
-            self._news.remark(text)
+            self._state.stop_listening(listener)
 
-    def add_point(self, stamp: float, position: Sequence[float], frame_id: str, source: str = '',
-                  arrival: float | None = None, quality: float | None = None) -> Rejection | None:
+    def set_notice(self, text: str) -> None:
+        """Add a notice to the status until the session is continued, cleared or registered."""
+        with self._lock:
+            self._notices.set(text)
+
+    def add(self, sample: Sample) -> Rejection | None:
         """
-        Take in one tip position; see `Collection.add`, but ``source`` is a name.
+        Add a tip position in the session frame, or return why it is rejected.
 
-        The tip is watched for landmarks and verification whether or not points are being collected.
+        It is used for landmarks and verification whether or not points are being collected.
         """
         with self._lock:
-            return self._holds.add_point(stamp, position, frame_id, source, arrival, quality)
+            return self._state.add(sample)
 
-    def count_dropped(self, dropped: Mapping[str, int]) -> None:
-        """Count points that were refused before they came here, by cause."""
+    def reject(self, sample: Sample, cause: Rejection) -> None:
+        """Count a sample that could not be transformed into the session frame."""
+        self.count_rejected({cause.value: 1})
+
+    def count_rejected(self, counts: Mapping[str, int]) -> None:
+        """Count samples that were rejected before, by cause."""
         with self._lock:
-            self._holds.count_dropped(dropped)
+            self._state.count_rejected(counts)
+
+    def restart(self, reason: str) -> None:
+        """Clear without a request of the operator; listeners and the status report why."""
+        with self._lock:
+            self._clear(reason)
+            self._notices.set(restart_notice(reason))
 
     def collect(self, on: bool) -> Answer:
         """Start a stroke, or end it."""
         with self._lock:
-            self._holds.collect(on)
+            self._state.collect(on)
             if on:
-                self._news.stroke()
+                self._notices.on_stroke()
             return Answer(True, f'{"collecting a new stroke" if on else "not collecting"}; '
-                          + held(self._holds))
+                          + count_points(self._state))
 
     def undo(self) -> Answer:
         """
-        Drop the stroke begun last; a pose found with it stands until the next registration.
+        Drop the stroke begun last; the accepted registration stays until the next one.
 
-        What was split automatically is dropped part by part, and the answer says so.
+        A stroke that was split automatically is dropped part by part, and the answer says so.
         """
         with self._lock:
-            dropped = self._holds.undo()
+            dropped = self._state.undo()
             if dropped is None:
                 return Answer(False, 'there is no stroke to undo')
-            self._news.undo()
-            self._era += 1      # a registration that runs has what was dropped in it
-            part = '; the registration under way is given up' if self._solving else ''
+            self._notices.on_undo()
+            self._generation += 1       # a running registration uses the points dropped
+            more = '; the running registration is cancelled' if self._solving else ''
             if dropped.split_by:
-                part = (f', which a {dropped.split_by} had split off the one before: undo again '
-                        f'to drop that too{part}')
+                more = (f', which a {dropped.split_by} had split from the one before: undo again '
+                        f'to drop that too{more}')
             return Answer(
-                True, f'dropped the last stroke, {counted(dropped.points, "point")}{part}; '
-                f'{held(self._holds)}')
+                True, f'dropped the last stroke, {format_count(dropped.points, "point")}{more}; '
+                f'{count_points(self._state)} left')
 
     def clear(self) -> Answer:
-        """Drop all points, landmarks and verification points; the last good pose stands."""
+        """Drop all points, landmarks and verification points; keep the accepted registration."""
         with self._lock:
-            self._holds.clear()
-            self._news.end()
-            self._era += 1
+            self._clear(None)
             return Answer(True, 'dropped all points, landmarks and verification points'
-                          + pose_stands(self._holds))
+                          + accepted_stays(self._state))
+
+    def _clear(self, reason: str | None) -> None:
+        self._state.clear(reason)
+        self._notices.clear()
+        self._generation += 1
 
     def capture_landmark(self, now: float | None = None) -> Answer:
         """
-        Take the resting tip as the next landmark of ``landmarks.names``; it is not for the fit.
+        Capture the stationary tip as the next landmark of ``landmarks.names``.
 
-        At ``now``, s, on the clock of the arrivals given to `add_point`, a probe not seen of late
-        is left out.
+        Its points are not used in the fit.  With ``now``, local time, s, a probe that has not been
+        seen lately is ignored.
         """
         with self._lock:
-            return self._holds.capture_landmark(now)
+            return self._state.capture_landmark(now)
 
     def register(self, landmarks: LandmarkPairs | None = None, T_tracker_bone: Array | None = None,
                  cancelled: Callable[[], bool] | None = None,
                  progress: Callable[[float], None] | None = None) -> RegistrationResult:
         """
-        Find the bone with the points collected so far; points may come in meanwhile.
+        Register the bone with the points collected so far; points may be added meanwhile.
 
-        A refusal leaves the last good pose; while another registration runs, that comes at once and
-        is not remembered.
+        After a refusal the accepted registration stays.  A call while another registration runs is
+        refused at once and changes nothing.
 
         Parameters
         ----------
         landmarks : ((k, 3), (k, 3)) float, optional
-            Model and tracker positions, m; without them those captured, if three or more.
+            Model and tracker positions, m; by default the captured landmarks, if three or more.
         T_tracker_bone : (4, 4) float, optional
-            A first guess.
+            Start pose.
         cancelled, progress : optional
-            Asked whether to give up; told the share done.
+            Returns whether to cancel; receives the share that is done.
 
         """
-        holds = self._holds
+        state = self._state
         with self._lock:
             if self._solving:
                 return RegistrationResult.refused(
-                    Reason.BAD_INPUT, 'a registration is running already; wait for its answer')
-            field, config, era = holds.field, holds.config, self._era
+                    Reason.BAD_INPUT, 'a registration is already running; wait for its answer')
+            field, config, generation = state.field, state.config, self._generation
             if field is None:
                 return RegistrationResult.refused(
                     Reason.NO_MODEL, 'no bone model is loaded; set model.path')
-            points, serials = holds.collection.arrays(), holds.collection.serials()
-            received, frame_id = holds.collection.received, holds.collection.frame_id or ''
+            points, serials = state.collection.points(), state.collection.serials()
+            received, frame_id = state.collection.received, state.collection.frame_id or ''
             if landmarks is None:
-                landmarks = holds.touches.pairs
+                landmarks = state.landmarks.pairs
             self._solving = True
         try:
             result = register(points.positions,
@@ -164,137 +188,156 @@ class Session:
                               landmarks=landmarks,
                               T_tracker_bone=T_tracker_bone,
                               progress=progress,
-                              cancelled=lambda: self._era != era or
+                              cancelled=lambda: self._generation != generation or
                               (cancelled is not None and cancelled()))
         except BaseException:
             self._solving = False
             raise
         with self._lock:
             self._solving = False
-            if self._era != era:
+            if self._generation != generation:
                 return RegistrationResult.refused(
-                    Reason.NOT_CONVERGED, 'points or model were dropped meanwhile; register again')
-            answer = holds.register(AcceptedRegistration(dataclasses.replace(result, received=received),
-                                                 points, serials, frame_id))
-            self._news.registration()
-            return answer
+                    Reason.NOT_CONVERGED,
+                    'points were dropped or the model changed meanwhile; register again')
+            result = dataclasses.replace(result, received=received)
+            if result.success:
+                result = state.accept(AcceptedRegistration(result, points, serials, frame_id))
+            else:
+                state.refuse(result)
+            self._notices.on_registration()
+            return result
 
     def verify(self, now: float | None = None) -> Answer:
         """
-        Measure how far the resting tip is from the registered surface; never used in the fit.
+        Measure the distance from the stationary tip to the registered surface.
 
-        What the tip delivers while it rests there is taken out of the collection again.  Where an
-        earlier verification point is touched again, the answer says how far it has moved since.
+        The points measured there are dropped from the collection: they are never used in the fit.
+        If an earlier verification point is touched again, the answer says how far it has moved.
         """
         with self._lock:
-            return self._holds.verify(now)
+            return self._state.verify(now)
 
     def set_model(self, field: Field) -> bool:
-        """Take a bone, tell if in another's place: then points stay, pose and landmarks do not."""
+        """
+        Set the bone model; return whether it replaces another bone.
+
+        Points stay; registration, landmarks and verification points of another bone do not.
+        """
         with self._lock:
-            first = self._holds.field is None
-            other = self._holds.set_model(field)
+            first = self._state.field is None
+            other = self._state.set_model(field)
             if other:
-                self._news.end()
-                self._era += 1
+                self._notices.clear()
+                self._generation += 1
             return other and not first
 
     def configure(self, config: Config) -> None:
         """
-        Work by these settings from now on; points and landmarks held stay as they are.
+        Apply new settings; points and landmarks stay as they are.
 
         Raises
         ------
         InputError
-            When the frame of the points changes while any are held; nothing is changed then.
+            If the frame of the points changes while there are any; nothing is changed then.
 
         """
         with self._lock:
-            self._holds.configure(config)
+            self._state.configure(config)
 
     @property
     def collecting(self) -> bool:
         """Whether points are being collected."""
         with self._lock:
-            return self._holds.collection.collecting
+            return self._state.collection.collecting
+
+    @property
+    def solving(self) -> bool:
+        """Whether a registration runs."""
+        return self._solving
 
     @property
     def revision(self) -> int:
-        """What `points_since` returns: another one when points were dropped or replaced."""
+        """Changes whenever points are dropped or replaced, see `points_since`."""
         with self._lock:
-            return self._holds.revision
+            return self._state.revision
 
     def points(self) -> Points:
-        """Return a copy of the points collected so far."""
+        """Return the points collected so far, as read-only views."""
         with self._lock:
-            return self._holds.collection.arrays()
+            return self._state.collection.points()
 
     def points_since(self, revision: int, count: int) -> tuple[int, str, Points]:
         """
-        Return what has come in since ``count`` points were held, for who follows the collection.
+        Return the points added after the first ``count``, for followers of the collection.
 
         Returns
         -------
         revision : int
-            If it is another than given, points were dropped or replaced and all are returned.
+            If it differs from the argument, points were dropped or replaced; all are returned then.
         frame_id : str
         points : Points
+            Read-only views.
 
         """
-        holds = self._holds
+        state = self._state
         with self._lock:
-            begin = count if revision == holds.revision else 0
-            return (holds.revision, holds.collection.frame_id or '', holds.collection.arrays(begin))
+            begin = count if revision == state.revision else 0
+            return (state.revision, state.collection.frame_id or '', state.collection.points(begin))
 
     def registered_points(self) -> Points | None:
-        """Return the points the last good pose was found with, in the order of its residuals."""
+        """Return the points of the accepted registration, in the order of its residuals."""
         with self._lock:
-            return None if self._holds.pose is None else self._holds.pose.points
+            return None if self._state.accepted is None else self._state.accepted.points
 
     def landmarks(self) -> LandmarkPairs | None:
-        """Return where a registration begins, if three landmarks or more are captured."""
+        """Return the captured landmarks, if there are three or more."""
         with self._lock:
-            return self._holds.touches.pairs
+            return self._state.landmarks.pairs
 
     def status(self) -> Status:
-        """Return the session at a glance."""
+        """Return a snapshot for the operator."""
         with self._lock:
-            return status_of(self._holds, self._solving, self._news)
+            return make_status(self._state, self._solving, self._notices)
 
     def to_dict(self) -> dict[str, Any]:
         """
-        Return all of the session in plain lists and numbers, SI units, ready for JSON.
+        Return the session in plain lists and numbers, SI units, ready for JSON.
 
         Raises
         ------
         InputError
-            When there is no bone to bind it to.
+            If there is no bone model: a session belongs to one.
 
         """
         with self._lock:
-            if self._holds.field is None:
+            if self._state.field is None:
                 raise InputError(
                     'there is no bone model, so there is no session to save; set model.path')
-            record, config = self._holds.record(), self._holds.config
+            record, config = self._state.record(), self._state.config
         # outside the lock: it takes a while with many points
         return record.to_dict(config)
 
     def restore(self, record: Mapping[str, Any]) -> None:
         """
-        Take up a session saved by `to_dict`; settings stay those in force.
+        Load a session saved by `to_dict`; the settings in force stay.
 
         Raises
         ------
         InputError
-            When it belongs to another bone, or is damaged; nothing is changed then.
+            If it belongs to another bone, or is damaged; nothing is changed then.
 
         """
-        holds = self._holds
+        state = self._state
         with self._lock:
-            if holds.field is None:
+            if state.field is None:
                 raise InputError('load the bone model before the session; set model.path')
             if self._solving:
                 raise InputError('a registration is running; wait for its answer, then load')
-            holds.restore(SessionRecord.from_dict(record, holds.field.bone_sha256))
-            self._news.registration()
-            self._era += 1
+            state.restore(SessionRecord.from_dict(record, state.field.bone_sha256))
+            self._notices.on_registration()
+            self._generation += 1
+
+
+def restart_notice(reason: str) -> str:
+    """Return the sentence on a restart for status and log."""
+    return f'a new session was started: {reason}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A tip that rests: the mean of its last moments is a landmark or a verification point."""
+"""Detection of a stationary tip; its mean position is a landmark or a verification point."""
 
 from __future__ import annotations
 
@@ -12,126 +12,122 @@ import numpy as np
 from gsdf_registration.common.config import LandmarksConfig
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import AGREEING
+from gsdf_registration.common.samples import AGREEING, Position, Sample
 
-# remembered of a source: 2 s at 10 kHz; bounds the memory whatever the stamps say
-MOST_SAMPLES = 20_000
-# a tenth of the samples may be wild readings, which a tracker strews in; they are left out
-MOST_STRAYS = 0.1
+# of a source: 2 s at 10 kHz; bounds the memory whatever the stamps are
+MAX_SAMPLES = 20_000
+# share of the samples that may be scattered outliers of the tracker; they are left out of the mean
+MAX_OUTLIERS = 0.1
 
 
 @dataclass(frozen=True)
 class StationaryTip:
-    """Where a tip rested: mean of its samples, m, and how far they lay from it (RMS, largest)."""
+    """Mean position of a stationary tip, and the distances of its samples from the mean."""
 
-    position: Array     # (3,) m, frame of the session
-    spread_rms: float
-    spread_max: float
+    position: Array     # (3,) m, session frame
+    spread_rms: float   # m
+    spread_max: float   # m
     samples: int
     stamp: float        # of the last sample, s
     source: int
-    since: float        # it has been near that place all the time from here on, s
+    since: float        # it has been near that place from here on, s
 
 
 class StationaryTipDetector:
     """
-    Remembers the last moments of every source, and tells which tip rests and where.
+    Keeps the last samples of every source, and finds the tip that is stationary.
 
-    Several probes may be in view, one of them lying on a table: of all that rest, the one that came
-    to rest last is meant.
+    Several probes may be in view, one of them lying on a table.  Of all stationary tips, the one
+    that stopped last is returned.
     """
 
-    def __init__(self, config: LandmarksConfig) -> None:
-        """Remember ``config.dwell`` s; samples within ``config.radius`` of their mean rest."""
-        self.config = config
-        self._sources: dict[int, _Trail] = {}
+    def __init__(self) -> None:
+        self._sources: dict[int, _RecentSamples] = {}
 
-    def add(self, stamp: float, position: tuple[float, float, float], source: int = 0,
-            arrival: float | None = None) -> None:
-        """Take in a sound sample, stamps of a source rising; seconds and metres."""
-        trail = self._sources.get(source)
-        if trail is None:
-            trail = self._sources[source] = _Trail(stamp, position)
-        trail.add(stamp, position, arrival, self.config)
+    def add(self, sample: Sample, source: int, config: LandmarksConfig) -> None:
+        """Add a valid sample; the stamps of a source ascend."""
+        recent = self._sources.get(source)
+        if recent is None:
+            recent = self._sources[source] = _RecentSamples(sample)
+        recent.add(sample, config)
 
-    def rest(self, now: float | None = None) -> StationaryTip:
+    def detect(self, config: LandmarksConfig, now: float | None = None) -> StationaryTip:
         """
-        Return where the tip rests.
+        Return the stationary tip.
 
         Parameters
         ----------
+        config : LandmarksConfig
+            The samples of the last ``dwell`` s must be within ``radius`` of their mean.
         now : float, optional
-            Time on the clock of the arrivals, s; a source silent for more than ``dwell`` is then
-            left out.
+            Local time, s; a source without samples for more than ``dwell`` is then ignored.
 
         Raises
         ------
         InputError
-            When no tip is seen, not for long enough, or it moves.
+            If no tip is seen, it is not seen for long enough, or it moves.
 
         """
-        dwell, radius = self.config.dwell, self.config.radius
-        trails = [(source, trail) for source, trail in self._sources.items()
-                  if now is None or trail.arrival is None or now - trail.arrival <= dwell]
-        if not trails:
+        dwell, radius = config.dwell, config.radius
+        seen = [(source, recent) for source, recent in self._sources.items()
+                if now is None or recent.arrival is None or now - recent.arrival <= dwell]
+        if not seen:
             raise InputError(
-                'no probe tip is seen; bring the probe into view of the tracker, hold it still')
-        long_enough = [(source, trail) for source, trail in trails if trail.lasts(dwell)]
+                'no probe tip is seen; bring the probe into view of the tracker and hold it still')
+        long_enough = [(source, recent) for source, recent in seen if recent.covers(dwell)]
         if not long_enough:
             raise InputError(
                 f'the tip has not been seen for {dwell:g} s without a break; hold it still '
                 'in view and try again')
-        rests = [trail.mean(source, dwell, radius) for source, trail in long_enough]
-        resting = [rest for rest in rests if rest.spread_max <= radius]
-        if not resting:
-            nearest = min(rest.spread_max for rest in rests)
+        tips = [recent.mean(source, dwell, radius) for source, recent in long_enough]
+        stationary = [tip for tip in tips if tip.spread_max <= radius]
+        if not stationary:
+            nearest = min(tip.spread_max for tip in tips)
             raise InputError(
                 f'the tip moves: {1e3 * nearest:.1f} mm within the last {dwell:g} s,'
                 f' {1e3 * radius:.1f} mm allowed; hold it still and try again')
-        return min(resting, key=lambda rest: rest.stamp - rest.since)
+        return min(stationary, key=lambda tip: tip.stamp - tip.since)
 
 
-class _Trail:
-    """The last samples of one source."""
+class _RecentSamples:
+    """The last samples of one source, and where it has been since when."""
 
-    def __init__(self, stamp: float, position: tuple[float, float, float]) -> None:
-        self.samples: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=MOST_SAMPLES)
+    def __init__(self, first: Sample) -> None:
+        self.samples: deque[tuple[float, Position]] = deque(maxlen=MAX_SAMPLES)
         self.arrival: float | None = None
-        self._anchor, self._anchor_stamp = position, stamp
-        # the last samples in a row that are not near it
-        self._away: list[tuple[float, tuple[float, float, float]]] = []
+        self._anchor, self._anchor_stamp = first.position, first.stamp
+        self._away: list[tuple[float, Position]] = []   # last samples in a row far from the anchor
 
-    def add(self, stamp: float, position: tuple[float, float, float], arrival: float | None,
-            config: LandmarksConfig) -> None:
-        samples = self.samples
+    def add(self, sample: Sample, config: LandmarksConfig) -> None:
+        stamp, position, samples = sample.stamp, sample.position, self.samples
         if samples and stamp - samples[-1][0] > 0.5 * config.dwell:
-            samples.clear()     # lost meanwhile: nobody knows where the tip was
+            samples.clear()     # after a gap: where the tip was meanwhile is unknown
         samples.append((stamp, position))
         while len(samples) > 1 and samples[1][0] <= stamp - config.dwell:
-            samples.popleft()   # the first one left is just as old as the dwell, or older
-        self.arrival = arrival
+            samples.popleft()   # the first one left is at least as old as the dwell
+        self.arrival = sample.arrival
         near = 2.0 * config.radius
         if math.dist(position, self._anchor) <= near:
             self._away.clear()
             return
         self._away.append((stamp, position))
-        if len(self._away) >= AGREEING:     # it went away with the first of them
+        if len(self._away) >= AGREEING:     # the tip left with the first of them
             (self._anchor_stamp, self._anchor), *rest = self._away
-            self._away = [sample for sample in rest if math.dist(sample[1], self._anchor) > near]
+            self._away = [each for each in rest if math.dist(each[1], self._anchor) > near]
 
-    def lasts(self, dwell: float) -> bool:
+    def covers(self, dwell: float) -> bool:
         return self.samples[0][0] <= self.samples[-1][0] - dwell
 
     def mean(self, source: int, dwell: float, radius: float) -> StationaryTip:
-        """Return the mean over the dwell, a few strays left out, and how far it spreads."""
+        """Return the mean over the dwell without a few outliers, and the spread about it."""
         last = self.samples[-1][0]
         positions = np.array(
             [position for stamp, position in self.samples if stamp >= last - dwell])
         off = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-        # not where it begins or ends: there the tip has not come yet, or goes
-        if max(off[0], off[-1]) <= radius and np.mean(off > radius) <= MOST_STRAYS:
+        # the first and last samples are no outliers: if they are off, the tip arrives or leaves
+        if max(off[0], off[-1]) <= radius and np.mean(off > radius) <= MAX_OUTLIERS:
             positions = positions[off <= radius]
         mean = positions.mean(axis=0)
         distances = np.linalg.norm(positions - mean, axis=1)
         return StationaryTip(mean, float(np.sqrt(np.mean(distances**2))), float(distances.max()),
-                    len(positions), last, source, self._anchor_stamp)
+                             len(positions), last, source, self._anchor_stamp)

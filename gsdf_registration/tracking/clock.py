@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Clocks that leap: a recording that starts again, a simulation that is reset, a probe back in view.
+Detection of clocks that jump: a looped recording, a reset simulation, a probe back in view.
 
-A late packet and a garbled stamp leap too, but alone.  So a leap is believed only when a few stamps
-in a row make it and agree with one another; until then they are held, and none of them is lost.
-Where two programs publish by clocks of their own, stamps leap to and fro; so one that leaps back is
-believed only when nothing of the time before has come for a while.
+A delayed packet or a corrupt stamp jumps too, but only once.  A jump is therefore accepted only
+when a few consecutive stamps make it and agree with one another.  Until then these samples are
+pending, and none of them is lost.  If two programs publish with different clocks, the stamps jump
+to and fro; a jump back is therefore accepted only when nothing with the earlier clock has arrived
+for a while.
 """
 
 from __future__ import annotations
@@ -15,132 +16,141 @@ from typing import Generic, NamedTuple, TypeVar
 
 from gsdf_registration.common.samples import AGREEING
 
-BACK = 1.0      # s; stamps that go back by less are late, not of a clock that went back
-FORWARD = 10.0  # s; stamps that go forward by less need no others to be believed
-ALONE = 0.5     # s for which stamps must come from back there alone to be believed
-MIXED = 20      # stamps that leap one after another and agree are a second clock
-MOST_HELD = 1000    # samples held at most, whatever their stamps say
+BACK = 1.0      # s; a smaller step back is a late sample, not a clock that went back
+FORWARD = 10.0  # s; a smaller step forward needs no confirmation
+ALONE = 0.5     # s of stamps that must arrive uninterrupted to confirm a jump back
+MIXED = 20      # interruptions in a row by consistent stamps that reveal a second clock
+MAX_PENDING = 1000      # samples; bounds the memory whatever the stamps are
 
 T = TypeVar('T')
 
 
-class Taken(NamedTuple, Generic[T]):
-    """What is known after a sample has come in."""
+class StampCheck(NamedTuple, Generic[T]):
+    """What is decided after a sample has been added."""
 
-    back: float         # how far the clock has gone back, as is evident now, s; else 0
-    going_on: list[T]   # the samples to go on with, in the order they came
-    strays: list[T]     # those that turn out to have leapt alone
+    went_back: float    # s by which the clock is now known to have gone back; else 0
+    accepted: list[T]   # samples to process, in order of arrival
+    outliers: list[T]   # samples whose stamps jumped alone
 
 
-class Stream(Generic[T]):
+class StampFilter(Generic[T]):
     """
-    The samples of one clock, in the order they come.
+    Checks the stamps of one source.
 
-    Where it is ``expected`` to go back, because another did, what it still brings of the time
-    before is astray.  If it goes on regardless, it is heard again after `BACK` seconds of it.
+    After ``expect_jump`` is set, because another source went back, samples with the earlier clock
+    are outliers.  If the source keeps that clock, it is accepted again after `BACK` seconds.
 
-    ``wary``: much hangs on it. What goes back must come alone for a while, and once a second clock
-    is known to be mixed in, the one heard first is never given up.
+    Parameters
+    ----------
+    strict : bool
+        A jump back must be uninterrupted for `ALONE` seconds.  Once a second clock is detected, the
+        first one is kept.
+
     """
 
-    def __init__(self, wary: bool = False) -> None:
-        self.expected = False
-        self.newest = -math.inf     # s, the highest stamp since the clock last leapt
-        self.apart = 0.0            # s from a second clock, mixed in, to this one; 0: there is none
-        self._wary = wary
-        self._held: list[T] = []    # they have leapt, perhaps alone
-        self._held_since = self._held_stamp = math.nan      # stamps of the first and the last
-        self._mixed = 0             # times in a row that the clock went on amid held ones ...
-        self._mixed_stamp = math.nan    # ... and when it last did
+    def __init__(self, strict: bool = False) -> None:
+        self.expect_jump = False
+        self.newest = -math.inf     # s, highest stamp since the last accepted jump
+        self.offset = 0.0           # s from a second clock, mixed in, to this one; 0: there is none
+        self._strict = strict
+        self._pending: list[T] = []     # samples that jumped; not confirmed yet
+        self._pending_since = self._pending_stamp = math.nan    # stamps of the first and the last
+        self._mixed = 0             # times in a row that the known clock interrupted pending ones
+        self._mixed_stamp = math.nan    # stamp of the last interruption
 
-    def take(self, stamp: float, sample: T) -> Taken[T]:
-        """Take in a sample stamped ``stamp``, s; finite."""
-        if self.expected:
+    def add(self, stamp: float, sample: T) -> StampCheck[T]:
+        """Check a sample with a finite ``stamp``, s."""
+        if self.expect_jump:
             if abs(stamp - self.newest) <= BACK:
-                return Taken(0.0, [], [sample])
-            self.expected = False
+                return StampCheck(0.0, [], [sample])
+            self.expect_jump = False
             if stamp < self.newest:
-                strays = self._hold(stamp, sample)
-                going_on, self._held, self.newest = self._held, [], stamp
-                return Taken(0.0, going_on, strays)
+                outliers = self._set_pending(stamp, sample)
+                accepted, self._pending, self.newest = self._pending, [], stamp
+                return StampCheck(0.0, accepted, outliers)
         if -BACK <= stamp - self.newest <= FORWARD or self.newest == -math.inf:
-            strays, self._held = self._held, []
-            self.newest = max(self.newest, stamp)
-            if strays:
-                self._mixed, self._mixed_stamp = self._mixed + 1, stamp
-                if self._mixed >= MIXED:
-                    self.apart = self.newest - self._held_stamp
-            elif stamp - self._mixed_stamp > FORWARD:
-                self.apart = 0.0    # the other one is gone
-            return Taken(0.0, [sample], strays)
-        if self._wary and self.apart and stamp < self.newest:
+            return self._continue(stamp, sample)
+        if self._strict and self.offset and stamp < self.newest:
             self._mixed_stamp = self.newest
-            return Taken(0.0, [], [*self.end(), sample])
-        strays = self._hold(stamp, sample)
-        back = max(self.newest - self._held_since, 0.0)
-        if len(self._held) < AGREEING or (self._wary and back and stamp - self._held_since < ALONE
-                                          and len(self._held) < MOST_HELD):
-            return Taken(0.0, [], strays)
-        going_on, self._held = self._held, []
+            return StampCheck(0.0, [], [*self.flush(), sample])
+        outliers = self._set_pending(stamp, sample)
+        went_back = max(self.newest - self._pending_since, 0.0)
+        if len(self._pending) < AGREEING or (
+                self._strict and went_back and stamp - self._pending_since < ALONE
+                and len(self._pending) < MAX_PENDING):
+            return StampCheck(0.0, [], outliers)
+        accepted, self._pending = self._pending, []
         self.newest, self._mixed = stamp, 0
-        return Taken(back, going_on, strays)
+        return StampCheck(went_back, accepted, outliers)
 
-    def end(self) -> list[T]:
-        """Return what is still held; there is nothing more to come."""
-        held, self._held = self._held, []
-        return held
+    def flush(self) -> list[T]:
+        """Return the pending samples at the end of the input."""
+        pending, self._pending = self._pending, []
+        return pending
 
-    def _hold(self, stamp: float, sample: T) -> list[T]:
-        """Hold a sample; return those held before that it does not agree with."""
-        strays: list[T] = []
-        if not 0.0 < stamp - self._held_stamp <= FORWARD:
-            strays, self._held = self._held, []
-        if not 0.0 < stamp - self._held_stamp <= BACK:
+    def _continue(self, stamp: float, sample: T) -> StampCheck[T]:
+        """Accept a sample of the known clock; pending samples are outliers then."""
+        outliers = self.flush()
+        self.newest = max(self.newest, stamp)
+        if outliers:
+            self._mixed, self._mixed_stamp = self._mixed + 1, stamp
+            if self._mixed >= MIXED:
+                self.offset = self.newest - self._pending_stamp
+        elif stamp - self._mixed_stamp > FORWARD:
+            self.offset = 0.0    # the second clock is gone
+        return StampCheck(0.0, [sample], outliers)
+
+    def _set_pending(self, stamp: float, sample: T) -> list[T]:
+        """Add a pending sample; return earlier pending samples that disagree with it."""
+        outliers: list[T] = []
+        if not 0.0 < stamp - self._pending_stamp <= FORWARD:
+            outliers = self.flush()
+        if not 0.0 < stamp - self._pending_stamp <= BACK:
             self._mixed = 0
-        if not self._held:
-            self._held_since = stamp
-        self._held.append(sample)
-        self._held_stamp = stamp
-        return strays
+        if not self._pending:
+            self._pending_since = stamp
+        self._pending.append(sample)
+        self._pending_stamp = stamp
+        return outliers
 
 
-class ClockWatch(Generic[T]):
-    """The clocks of all sources of points: tells once when they go back together."""
+class ClockMonitor(Generic[T]):
+    """Checks the stamps of all topics; reports a jump back once if they go back together."""
 
     def __init__(self) -> None:
-        self._streams: dict[str, Stream[T]] = {}
-        self._since = math.nan      # our clock when a source went back, until ours does
+        self._filters: dict[str, StampFilter[T]] = {}
+        self._since = math.nan      # local time when a topic went back, until the local clock does
 
-    def take(self, source: str, stamp: float, sample: T, now: float | None) -> Taken[T]:
-        """Take in a sample of ``source`` that comes in at ``now`` on our clock, s."""
-        stream = self._streams.setdefault(source, Stream(wary=True))
-        taken = stream.take(stamp, sample)
-        if taken.back:
-            self._expect_all()
-            stream.expected = False
+    def add(self, topic: str, stamp: float, sample: T, now: float | None) -> StampCheck[T]:
+        """Check a sample of ``topic`` that arrives at local time ``now``, s."""
+        stamps = self._filters.setdefault(topic, StampFilter(strict=True))
+        check = stamps.add(stamp, sample)
+        if check.went_back:
+            self._expect_jump()
+            stamps.expect_jump = False
             self._since = math.nan if now is None else now
-        return taken
+        return check
 
-    def our_clock_went_back(self, before: float) -> bool:
-        """Tell whether our own clock, now less than ``before``, went back before any source did."""
+    def local_clock_went_back(self, before: float) -> bool:
+        """Return whether the local clock went back from ``before``, s, ahead of every topic."""
         first = not 0.0 <= before - self._since <= BACK
         self._since = math.nan
         if first:
-            self._expect_all()
+            self._expect_jump()
         return first
 
     @property
-    def trouble(self) -> list[str]:
-        """What is wrong with the clocks, a sentence for each source."""
-        return [f'the stamps on {source} come from two clocks, {abs(stream.apart):.1f} s apart: do '
-                'two programs publish there? Points of the one heard later are refused; stop the '
-                'other and clear to go on with it'
-                for source, stream in self._streams.items() if stream.apart]
+    def problems(self) -> list[str]:
+        """One sentence for each topic with two clocks."""
+        return [f'the stamps on {topic} come from two clocks, {abs(stamps.offset):.1f} s apart: do '
+                'two programs publish there? Points with the second clock are rejected; stop the '
+                'first program and clear to use the second'
+                for topic, stamps in self._filters.items() if stamps.offset]
 
-    def _expect_all(self) -> None:
-        for stream in self._streams.values():
-            stream.expected = True
+    def _expect_jump(self) -> None:
+        for stamps in self._filters.values():
+            stamps.expect_jump = True
 
-    def end(self) -> list[T]:
-        """Return what is still held; there is nothing more to come."""
-        return [sample for stream in self._streams.values() for sample in stream.end()]
+    def flush(self) -> list[T]:
+        """Return all pending samples at the end of the input."""
+        return [sample for stamps in self._filters.values() for sample in stamps.flush()]

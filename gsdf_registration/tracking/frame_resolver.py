@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The way of a point into the frame of the session, at the time it was measured.
+The motion of a point into the session frame at the time it was measured.
 
-It leads through the frames of /tf to that of the tracker and from there, where the bone has a
-reference array, into the frame of the array.
+The frames of /tf lead to the tracker frame.  If the bone has a reference array, the pose of the
+array leads from there into the array frame.
 """
 
 from __future__ import annotations
@@ -17,46 +17,43 @@ from gsdf_registration.tracking.pose_buffer import LookupStatus, PoseBuffer
 
 class FrameResolver:
     """
-    Where the reference array and all frames were, and so the way; not thread-safe.
+    Looks up the poses of the reference array and the frames of /tf; not thread-safe.
 
-    config : may be replaced at any time
-    frames : None where /tf is not heard
+    ``frames`` is None if /tf is not available.
     """
 
-    def __init__(self, config: Config, frames: Frames | None) -> None:
-        self.config = config
+    def __init__(self, frames: Frames | None) -> None:
         self.frames = frames
         self._array = PoseBuffer()
-        self._array_frame = ''      # the frame its poses are in
-        self._left_out = 0          # poses of it
-        self._pose_trouble = ''
+        self._array_frame = ''      # frame of the array poses
+        self._rejected_poses = 0
+        self._pose_problem = ''     # why the last array pose was rejected
 
-    def pose(self, stamp: float, T: Array, frame_id: str) -> None:
-        """Take in a pose ``T`` (4, 4), m, of the reference array in ``frame_id``."""
-        wanted = self._tracker_frame or frame_id
-        refusal = (f'is in frame "{frame_id}" and not in "{wanted}"' if frame_id != wanted
-                   else self._array.add(stamp, T))
-        self._pose_trouble = refusal
-        if refusal:
-            self._left_out += 1
+    def add_pose(self, stamp: float, T: Array, frame_id: str, config: Config) -> None:
+        """Add a pose ``T`` (4, 4), m, of the reference array in ``frame_id``."""
+        expected = self._tracker_frame(config) or frame_id
+        self._pose_problem = (f'is in frame "{frame_id}" and not in "{expected}"'
+                              if frame_id != expected else self._array.add(stamp, T))
+        if self._pose_problem:
+            self._rejected_poses += 1
         else:
-            self._array_frame = wanted
+            self._array_frame = expected
 
     def rewind(self, stamp: float) -> None:
-        """Forget what is of the time before the clock went back to ``stamp``, s."""
+        """Drop poses later than ``stamp``, s, to which the clock went back."""
         self._array.rewind(stamp)
         if self.frames is not None:
             self.frames.rewind(stamp)
 
-    def motion(self, frame_id: str, stamp: float) -> Array | LookupStatus | None:
-        """Return the motion (4, 4), m, that leads there; None if a point stays as it is."""
-        max_gap, wanted = self.config.gate.max_age, self._tracker_frame
+    def motion(self, frame_id: str, stamp: float, config: Config) -> Array | LookupStatus | None:
+        """Return the motion (4, 4), m, to the session frame; None if the point stays as it is."""
+        max_gap, tracker = config.gate.max_age, self._tracker_frame(config)
         T_tracker_given: Array | LookupStatus | None = None
-        if wanted not in ('', frame_id):
+        if tracker not in ('', frame_id):
             if self.frames is None:
                 return LookupStatus.NEVER
-            T_tracker_given = self.frames.at(wanted, frame_id, stamp, max_gap)
-        if not self.config.reference.topic or isinstance(T_tracker_given, LookupStatus):
+            T_tracker_given = self.frames.at(tracker, frame_id, stamp, max_gap)
+        if not config.reference.topic or isinstance(T_tracker_given, LookupStatus):
             return T_tracker_given
         T_tracker_array = self._array.at(stamp, max_gap)
         if isinstance(T_tracker_array, LookupStatus):
@@ -64,32 +61,34 @@ class FrameResolver:
         T_array_tracker = inverse(T_tracker_array)
         return T_array_tracker if T_tracker_given is None else T_array_tracker @ T_tracker_given
 
-    def failure_reason(self, frame_id: str, source: str, apart: float) -> tuple[Rejection, str]:
+    def failure_reason(self, frame_id: str, topic: str, offset: float,
+                       config: Config) -> tuple[Rejection, str]:
         """
-        Return why no way was found for a point of ``source``, and a sentence on it.
+        Return why a point of ``topic`` could not be transformed, and a sentence for the operator.
 
-        ``apart``: how far the stamps of points and poses are apart that come together, s; else 0.
+        ``offset``, s: between the stamps of points and array poses that arrive together, if their
+        clocks differ; else 0.
         """
-        wanted, topic = self._tracker_frame, self.config.reference.topic
-        if wanted not in ('', frame_id) and not (self.frames
-                                                 and self.frames.connect(wanted, frame_id)):
-            tf = 'nothing on /tf leads there' if self.frames else '/tf needs tf2_msgs to be heard'
-            return Rejection.WRONG_FRAME, (f'the points of {source} are in frame "{frame_id}" and '
-                                           f'not in "{wanted}", and {tf}')
-        if not topic:
-            why = (f'/tf does not tell where "{frame_id}" was in "{wanted}" at the time of the '
-                   f'points of {source}')
-        elif apart:
-            why = (f'the stamps of {source} and {topic} are {abs(apart):.1f} s apart: both must '
+        tracker, array = self._tracker_frame(config), config.reference.topic
+        if tracker not in ('', frame_id) and not (self.frames
+                                                  and self.frames.connected(tracker, frame_id)):
+            tf = ('/tf does not connect them' if self.frames
+                  else '/tf cannot be received without tf2_msgs')
+            return Rejection.WRONG_FRAME, (f'the points of {topic} are in frame "{frame_id}" and '
+                                           f'not in "{tracker}", and {tf}')
+        if not array:
+            why = (f'/tf has no transform from "{frame_id}" to "{tracker}" at the time of the '
+                   f'points of {topic}')
+        elif offset:
+            why = (f'the stamps of {topic} and {array} are {abs(offset):.1f} s apart: both must '
                    'come from one clock')
         else:
-            why = (f'there is no pose on {topic} for the time of the points of {source}: is the '
+            why = (f'there is no pose on {array} at the time of the points of {topic}: is the '
                    'reference array in view?')
-        if self._pose_trouble:
-            why += f' Left out of its poses: {self._left_out}; the last {self._pose_trouble}'
+        if self._pose_problem:
+            why += f' Rejected array poses: {self._rejected_poses}; the last {self._pose_problem}'
         return Rejection.NO_REFERENCE, why
 
-    @property
-    def _tracker_frame(self) -> str:
-        """Frame into which /tf must lead; empty: any will do."""
-        return self.config.probe.frame_id or self._array_frame
+    def _tracker_frame(self, config: Config) -> str:
+        """Return the frame that /tf must lead to; empty: any frame is accepted."""
+        return config.probe.frame_id or self._array_frame

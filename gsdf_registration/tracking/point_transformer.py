@@ -1,193 +1,193 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What a session is fed: points, each carried into the session's frame at its own stamp.
+Transforms each sample into the session frame at its own stamp.
 
-A point waits until it is known where the reference array and the frames of /tf were before and
-after it.  So points keep their order, a source for itself, and none holds up another.
+A sample waits until the poses of the reference array and the frames of /tf before and after it are
+known.  Samples of one topic keep their order; topics do not delay one another.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Protocol
 
-from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array, transform
-from gsdf_registration.common.samples import Rejection, Sample
-from gsdf_registration.tracking.clock import ClockWatch
+from gsdf_registration.common.samples import Rejection, Sample, SampleSink
+from gsdf_registration.tracking.clock import ClockMonitor
 from gsdf_registration.tracking.frame_resolver import FrameResolver
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.pose_buffer import LookupStatus
 
-MOST_WAITING = 2000     # points of a source; bounds the memory whatever the stamps say
-
-
-class Sink(Protocol):
-    """Who is fed."""
-
-    def take(self, sample: Sample) -> None:
-        """Take a point in the frame of the session."""
-
-    def refuse(self, sample: Sample, cause: Rejection) -> None:
-        """Count a point that cannot be carried there."""
-
-    def start_anew(self, why: str) -> None:
-        """Begin a new session: the clock of the points has gone back."""
+MAX_WAITING = 2000      # samples of a topic; bounds the memory whatever the stamps are
 
 
 @dataclass
 class _Source:
-    """What must be remembered of one stream of points."""
+    """State of one topic."""
 
     waiting: deque[Sample] = field(default_factory=deque)
-    stamp: float = math.nan     # of the last point
-    pose: float = math.nan      # stamp of the last pose of the array that came since
-    apart: float = 0.0          # s between the stamps of points and poses that come together
-    trouble: str = ''
+    stamp: float = math.nan     # of the last sample
+    pose: float = math.nan      # stamp of the last array pose that arrived after it
+    offset: float = 0.0         # s between stamps of samples and poses that arrive together
+    problem: str = ''
 
 
 class PointTransformer:
     """
-    Carries points to a session; not thread-safe.
+    Passes samples in the session frame to a session; not thread-safe.
+
+    The settings are the ones of the sink.
 
     Parameters
     ----------
-    config : Config
-    sink : Sink
+    sink : SampleSink
     frames : Frames or None
-        None where /tf is not heard.
+        None if /tf is not available.
 
     """
 
-    def __init__(self, config: Config, sink: Sink, frames: Frames | None) -> None:
+    def __init__(self, sink: SampleSink, frames: Frames | None) -> None:
+        self.last_rejection = -math.inf     # when a sample was last rejected here, s, monotonic
         self._sink = sink
-        self._route = FrameResolver(config, frames)
-        self._watch: ClockWatch[Sample] = ClockWatch()
+        self._resolver = FrameResolver(frames)
+        self._clocks: ClockMonitor[Sample] = ClockMonitor()
         self._sources: dict[str, _Source] = {}
 
-    def configure(self, config: Config, frames: Frames | None) -> None:
-        """Work by these settings from now on, and with these frames."""
-        self._route.config, self._route.frames = config, frames
+    def set_frames(self, frames: Frames | None) -> None:
+        """Use another tree of frames from now on."""
+        self._resolver.frames = frames
 
-    def forget(self) -> None:
-        """Take whatever comes next as the first of its source: all has been cleared."""
-        self._watch = ClockWatch()
-        for source in self._sources.values():
-            source.waiting.clear()
+    def clear(self) -> None:
+        """Drop waiting samples; the next sample of each topic is its first."""
+        self._clocks = ClockMonitor()
+        self._drop_waiting()
 
-    def point(self, sample: Sample) -> None:
-        """Take in a point."""
+    def add_point(self, sample: Sample) -> None:
+        """Add a sample."""
         if not math.isfinite(sample.stamp):
-            self._sink.refuse(sample, Rejection.NOT_FINITE)
+            self._reject(sample, Rejection.NOT_FINITE)
             return
-        back, going_on, strays = self._watch.take(sample.source, sample.stamp, sample,
-                                                  sample.arrival)
-        for stray in strays:
-            self._sink.refuse(stray, Rejection.NOT_MONOTONIC)
-        if back:
-            self._start_anew(going_on[0].stamp,
-                             f'the stamps of {sample.source} went back by {back:.1f} s')
-        for one in going_on:
-            self._carry_or_wait(one)
+        went_back, accepted, outliers = self._clocks.add(sample.topic, sample.stamp, sample,
+                                                         sample.arrival)
+        for outlier in outliers:
+            self._reject(outlier, Rejection.NOT_MONOTONIC)
+        if went_back:
+            self._restart(accepted[0].stamp,
+                          f'the stamps of {sample.topic} went back by {went_back:.1f} s')
+        for each in accepted:
+            self._transform_or_wait(each)
 
-    def pose(self, stamp: float, T: Array, frame_id: str) -> None:
-        """Take in the pose ``T`` (4, 4), m, of the reference array in ``frame_id``."""
-        self._route.pose(stamp, T, frame_id)
+    def add_pose(self, stamp: float, T: Array, frame_id: str) -> None:
+        """Add the pose ``T`` (4, 4), m, of the reference array in ``frame_id``."""
+        self._resolver.add_pose(stamp, T, frame_id, self._sink.config)
         for source in self._sources.values():
             source.pose = stamp
-        self.serve()
+        self.process()
 
-    def transform(self, parent: str, child: str, stamp: float, T: Array, fixed: bool) -> None:
-        """Take in ``T_parent_child`` (4, 4), m; ``fixed``: for all times."""
-        if self._route.frames is not None:
-            self._route.frames.add(parent, child, stamp, T, fixed)
-            self.serve()
+    def add_transform(self, parent: str, child: str, stamp: float, T: Array, fixed: bool) -> None:
+        """Add ``T_parent_child`` (4, 4), m; ``fixed``: for all times."""
+        if self._resolver.frames is not None:
+            self._resolver.frames.add(parent, child, stamp, T, fixed)
+            self.process()
 
-    def serve(self, now: float | None = None) -> None:
+    def process(self, now: float | None = None) -> None:
         """
-        Carry on the points whose time has come, and refuse those that waited for too long.
+        Transform waiting samples whose poses are known; reject those that waited too long.
 
-        All that came in until ``now``, s on our clock, has been fed.
+        ``now``, s, local clock: all input received before this time has been added.
         """
         for source in self._sources.values():
             if source.waiting:
-                waited, source.waiting = source.waiting, deque()
-                source.waiting.extend(sample for sample in waited
-                                      if not self._carry(source, sample))
-                self._refuse_overdue(source, now)
+                waiting, source.waiting = source.waiting, deque()
+                source.waiting.extend(sample for sample in waiting
+                                      if not self._transform(source, sample))
+                self._reject_overdue(source, now)
 
-    def end(self) -> None:
-        """Decide on all that still wait: nothing more will come."""
-        for sample in self._watch.end():
-            self._sink.refuse(sample, Rejection.NOT_MONOTONIC)
+    def finish(self) -> None:
+        """Reject all samples that still wait, at the end of the input."""
+        for sample in self._clocks.flush():
+            self._reject(sample, Rejection.NOT_MONOTONIC)
         for source in self._sources.values():
             while source.waiting:
-                self._refuse(source, source.waiting.popleft())
+                self._reject_untransformed(source, source.waiting.popleft())
 
-    def our_clock_went_back(self, before: float, now: float) -> None:
-        """Begin a new session unless the points have shown already that the time went back."""
-        if self._watch.our_clock_went_back(before):
-            self._start_anew(now, f'the clock went back by {before - now:.1f} s')
+    def local_clock_went_back(self, before: float, now: float) -> None:
+        """Restart the session unless the stamps of the samples have gone back already."""
+        if self._clocks.local_clock_went_back(before):
+            self._restart(now, f'the clock went back by {before - now:.1f} s')
 
     @property
-    def trouble(self) -> str:
-        """Why points have been refused of late, a sentence for each cause; else empty."""
-        told = [source.trouble for source in self._sources.values()] + self._watch.trouble
-        return '; '.join(dict.fromkeys(sentence for sentence in told if sentence))
+    def problem(self) -> str:
+        """Why samples are rejected, one sentence for each cause; empty if none is."""
+        problems = [source.problem for source in self._sources.values()] + self._clocks.problems
+        return '; '.join(dict.fromkeys(sentence for sentence in problems if sentence))
 
-    def _start_anew(self, stamp: float, why: str) -> None:
+    def _restart(self, stamp: float, reason: str) -> None:
+        self._drop_waiting()
+        self._resolver.rewind(stamp)
+        self._sink.restart(reason)
+
+    def _drop_waiting(self) -> None:
         for source in self._sources.values():
             source.waiting.clear()
-        self._route.rewind(stamp)
-        self._sink.start_anew(why)
 
-    def _carry_or_wait(self, sample: Sample) -> None:
-        source = self._sources.setdefault(sample.source, _Source())
-        before, source.stamp = source.stamp, sample.stamp
-        if not math.isnan(before - source.pose):
-            # of one clock a pose that came between two points is between them, or near to one
-            apart = min(source.pose - before, source.pose - sample.stamp, key=abs)
-            between = before <= source.pose <= sample.stamp
-            source.apart = 0.0 if between or abs(apart) <= self._max_age else apart
-            source.pose = math.nan
-        if not self._carry(source, sample):
+    def _transform_or_wait(self, sample: Sample) -> None:
+        source = self._sources.setdefault(sample.topic, _Source())
+        self._compare_clocks(source, sample.stamp)
+        if not self._transform(source, sample):
             source.waiting.append(sample)
-        self._refuse_overdue(source, None)
+        self._reject_overdue(source, None)
 
-    def _carry(self, source: _Source, sample: Sample) -> bool:
-        """Hand a point on or refuse it; return False if it must wait."""
-        T = self._route.motion(sample.frame_id, sample.stamp)
+    def _compare_clocks(self, source: _Source, stamp: float) -> None:
+        """Measure the offset between the clocks of samples and array poses."""
+        before, source.stamp = source.stamp, stamp
+        if not math.isnan(before - source.pose):
+            # with one clock, a pose that arrives between two samples is stamped between or near
+            offset = min(source.pose - before, source.pose - stamp, key=abs)
+            between = before <= source.pose <= stamp
+            source.offset = 0.0 if between or abs(offset) <= self._max_age else offset
+            source.pose = math.nan
+
+    def _transform(self, source: _Source, sample: Sample) -> bool:
+        """Pass a sample on or reject it; return False if it must wait."""
+        config = self._sink.config
+        T = self._resolver.motion(sample.frame_id, sample.stamp, config)
         if T is LookupStatus.NOT_YET:
             return False
         if T is LookupStatus.NEVER:
-            self._refuse(source, sample)
+            self._reject_untransformed(source, sample)
             return True
         if T is not None:
-            sample = sample._replace(position=transform(T, sample.position).tolist(),
-                                     frame_id=self._route.config.points_frame)
-        source.trouble = ''
-        self._sink.take(sample)
+            x, y, z = transform(T, sample.position).tolist()
+            sample = sample._replace(position=(x, y, z), frame_id=config.points_frame)
+        source.problem = ''
+        self._sink.add(sample)
         return True
 
     @property
     def _max_age(self) -> float:
-        return self._route.config.gate.max_age
+        return self._sink.config.gate.max_age
 
-    def _refuse_overdue(self, source: _Source, now: float | None) -> None:
+    def _reject_overdue(self, source: _Source, now: float | None) -> None:
         waiting = source.waiting
         while waiting:
             first = waiting[0]
-            if first.arrival is None:       # then the clock of the points must tell
+            if first.arrival is None:       # measure the wait by the clock of the samples
                 waited = source.stamp - first.stamp
             else:
                 waited = 0.0 if now is None else now - first.arrival
-            if waited <= self._max_age and len(waiting) <= MOST_WAITING:
+            if waited <= self._max_age and len(waiting) <= MAX_WAITING:
                 return
-            self._refuse(source, waiting.popleft())
+            self._reject_untransformed(source, waiting.popleft())
 
-    def _refuse(self, source: _Source, sample: Sample) -> None:
-        """Count a point that cannot be carried, and say why."""
-        cause, source.trouble = self._route.failure_reason(sample.frame_id, sample.source, source.apart)
-        self._sink.refuse(sample, cause)
+    def _reject_untransformed(self, source: _Source, sample: Sample) -> None:
+        """Reject a sample that cannot be transformed, and record why."""
+        cause, source.problem = self._resolver.failure_reason(
+            sample.frame_id, sample.topic, source.offset, self._sink.config)
+        self._reject(sample, cause)
+
+    def _reject(self, sample: Sample, cause: Rejection) -> None:
+        self.last_rejection = time.monotonic()
+        self._sink.reject(sample, cause)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Where a body was at a given time: its poses by stamp, interpolated, never extrapolated.
+Buffer of the poses of a moving frame: interpolates between stamps, never extrapolates.
 
-The reference array fixed to the bone is one such body, a moving frame of /tf another.
+It is used for the reference array fixed to the bone and for moving frames of /tf.
 """
 
 from __future__ import annotations
@@ -14,94 +14,95 @@ from enum import Enum
 import numpy as np
 
 from gsdf_registration.common.rigid import (
-    FARTHEST,
+    MAX_COORDINATE,
     Array,
     from_rt,
     is_rigid,
     rotation_exp,
     rotation_log,
 )
-from gsdf_registration.tracking.clock import BACK, Stream
+from gsdf_registration.tracking.clock import BACK, StampFilter
 
-KEPT = 10.0         # s of poses remembered, as tf2 does
-MOST = 20_000       # of them; bounds the memory whatever the stamps say
+DURATION = 10.0     # s of poses kept, as in tf2
+MAX_POSES = 20_000  # bounds the memory whatever the stamps are
 
 
 class LookupStatus(Enum):
     """Why there is no pose at a stamp."""
 
-    NOT_YET = 'a later one may still come'
-    NEVER = 'it was not seen before or after, or not for too long in between'
+    NOT_YET = 'a later pose may still arrive'
+    NEVER = 'no pose before or after the stamp, or too large a gap between them'
 
 
-def is_believable(T: Array) -> bool:
-    """Tell whether ``T`` (4, 4), m, is a rigid motion within the reach of any tracker."""
-    return is_rigid(T) and bool(np.abs(T[:3, 3]).max() < FARTHEST)
+def is_plausible(T: Array) -> bool:
+    """Return whether ``T`` (4, 4), m, is a rigid motion within the range of any tracker."""
+    return is_rigid(T) and bool(np.abs(T[:3, 3]).max() < MAX_COORDINATE)
 
 
 class PoseBuffer:
     """
-    Poses ``T_a_b`` (4, 4), m, of a body b in one frame a; not thread-safe.
+    Poses ``T_a_b`` (4, 4), m, of a frame b in one frame a; not thread-safe.
 
-    A clock that goes back starts it anew; a pose that alone is late is passed over.
+    If the clock goes back, the buffer is cleared.  A single late pose is ignored.
     """
 
     def __init__(self) -> None:
-        self._stream: Stream[tuple[float, Array]] = Stream()
-        self._forget()
+        self._filter: StampFilter[tuple[float, Array]] = StampFilter()
+        self._clear()
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._stamps: list[float] = []
         self._poses: list[Array] = []
-        self._turns: list[Array | None] = []    # rotation vector to the next pose, once asked for
+        self._turns: list[Array | None] = []    # rotation vector to the next pose, when computed
 
     @property
     def newest(self) -> float:
-        """Stamp of the latest pose, s; -inf without any."""
+        """Stamp of the latest pose, s; -inf if there is none."""
         return self._stamps[-1] if self._stamps else -math.inf
 
     def add(self, stamp: float, T: Array) -> str:
-        """Take in a pose stamped ``stamp``, s; return why not, or an empty string."""
-        if not (math.isfinite(stamp) and is_believable(T)):
-            return 'is no rigid motion'
-        taken = self._stream.take(stamp, (stamp, T))
-        if taken.back:
-            self._forget()
-        refusal = 'has a stamp that leaps' if taken.strays else ''
-        for stamp, T in taken.going_on:
+        """Add a pose stamped ``stamp``, s; return why it was rejected, or an empty string."""
+        if not (math.isfinite(stamp) and is_plausible(T)):
+            return 'is not a rigid motion'
+        check = self._filter.add(stamp, (stamp, T))
+        if check.went_back:
+            self._clear()
+        reason = 'has a stamp that jumps' if check.outliers else ''
+        for stamp, T in check.accepted:
             if stamp > self.newest:
                 self._append(stamp, T)
             else:
-                refusal = 'is not later than the one before'
-        return refusal
+                reason = 'is not later than the one before'
+        return reason
 
     def _append(self, stamp: float, T: Array) -> None:
         self._stamps.append(stamp)
         self._poses.append(T)
         self._turns.append(None)
-        # in large pieces, for each costs as much as the buffer is long
-        if stamp - self._stamps[0] > 2.0 * KEPT or len(self._stamps) > MOST:
-            old = max(bisect_left(self._stamps, stamp - KEPT), len(self._stamps) - MOST // 2)
+        # drop old poses in large blocks: each deletion is linear in the length of the buffer
+        if stamp - self._stamps[0] > 2.0 * DURATION or len(self._stamps) > MAX_POSES:
+            old = max(bisect_left(self._stamps, stamp - DURATION),
+                      len(self._stamps) - MAX_POSES // 2)
             del self._stamps[:old], self._poses[:old], self._turns[:old]
 
     def rewind(self, stamp: float) -> None:
-        """Forget all poses if they are of the time before the clock went back to ``stamp``, s."""
-        if self._stream.newest > stamp + BACK:
-            self._forget()
-            self._stream.expected = True
+        """Drop all poses if they are later than ``stamp``, s, to which the clock went back."""
+        if self._filter.newest > stamp + BACK:
+            self._clear()
+            self._filter.expect_jump = True
 
     def at(self, stamp: float, max_gap: float) -> Array | LookupStatus:
         """
         Return the pose at ``stamp``, s.
 
-        Between the two poses that bracket it the translation is linear in time and the rotation
-        goes the shortest way at constant speed (slerp, Shoemake 1985).
+        Between the two neighbouring poses the translation is interpolated linearly and the rotation
+        by slerp (Shoemake 1985).
 
         Parameters
         ----------
         stamp : float
         max_gap : float
-            Time between the two poses at most, s.
+            Maximum time between the two poses, s.
 
         Returns
         -------
@@ -116,12 +117,12 @@ class PoseBuffer:
             return LookupStatus.NOT_YET
         if i < 0 or stamps[i + 1] - stamps[i] > max_gap:
             return LookupStatus.NEVER
-        return self._between(i, (stamp - stamps[i]) / (stamps[i + 1] - stamps[i]))
+        return self._interpolate(i, (stamp - stamps[i]) / (stamps[i + 1] - stamps[i]))
 
-    def _between(self, i: int, share: float) -> Array:
-        """Return the pose at a share of the way from pose i to the next."""
+    def _interpolate(self, i: int, ratio: float) -> Array:
+        """Return the pose at ``ratio``, in [0, 1], between pose i and the next."""
         a, b, turn = self._poses[i], self._poses[i + 1], self._turns[i]
         if turn is None:
             turn = self._turns[i] = rotation_log(a[:3, :3].T @ b[:3, :3])
-        return from_rt(a[:3, :3] @ rotation_exp(share * turn),
-                       a[:3, 3] + share * (b[:3, 3] - a[:3, 3]))
+        return from_rt(a[:3, :3] @ rotation_exp(ratio * turn),
+                       a[:3, 3] + ratio * (b[:3, 3] - a[:3, 3]))

@@ -36,9 +36,9 @@ def sent(message):
 def test_points_round_trip(position, frame_id, sec, nanosec):
     stamp = ros.Time(sec=sec, nanosec=nanosec)
     message = sent(ros.point_msg(position, frame_id, stamp))
-    seconds, back, frame = ros.point_from(message)
-    assert (tuple(back), frame) == (position, frame_id)
-    assert ros.seconds_to_stamp(seconds) == stamp == message.header.stamp
+    sample = ros.sample_from(message, '/tip', 3.0)
+    assert sample[1:5] == (position, frame_id, '/tip', 3.0)
+    assert ros.seconds_to_stamp(sample.stamp) == stamp == message.header.stamp
 
 
 @settings(deadline=None, max_examples=50)
