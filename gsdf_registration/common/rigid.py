@@ -163,6 +163,16 @@ def displacement(T_a: ArrayLike, T_b: ArrayLike, points: ArrayLike) -> Array:
     return np.asarray(np.linalg.norm(transform(T_a, points) - transform(T_b, points), axis=1))
 
 
+def rms_displacement(T_a: ArrayLike, T_b: ArrayLike, points: ArrayLike) -> float:
+    """Return the RMS of `displacement` over ``points`` (n, 3)."""
+    return rms(displacement(T_a, T_b, points))
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square of ``values``."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def orthonormalized(T: ArrayLike) -> Array:
     """Return the rigid motion nearest to ``T`` (4, 4): its rotation projected by SVD."""
     T = np.asarray(T, dtype=np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pipeline: search, solve, select, assess, accept or reject."""
+"""The registration pipeline: search, solve, select a pose, assess it, accept or reject it."""
 
 from gsdf_registration.registration.pipeline import register
 

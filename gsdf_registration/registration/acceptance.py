@@ -188,7 +188,7 @@ def acceptance_message(candidate: Candidate) -> str:
     assert candidate.confidence is not None and candidate.weakest_direction is not None
     error = format_error(candidate.predicted_tre_m['rms'])
     message = (f'pose found from {candidate.inliers} of {candidate.used} points; expected error '
-               f'{error} mm (RMS) over the bone')
+               f'{error} (RMS) over the bone')
     if candidate.confidence.model_sd > 0.0:
         message += (', which includes a local error of the model or the tracker of '
                     f'{format_length(candidate.confidence.model_sd)} (SD)')

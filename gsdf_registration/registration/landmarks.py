@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gsdf_registration.common import rigid
+from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import InputError, as_numbers
 from gsdf_registration.common.rigid import Array
 
@@ -18,6 +19,12 @@ MIN_SPREAD = 0.1        # width over length of their triangle: less is a line
 # m: two touches of some 4 mm error each lie hardly farther from or nearer to one another than this
 DISAGREEMENT = 0.012
 MOST_ORDERED = 5        # landmarks of which every order is tried
+
+
+def named_points(config: Config) -> dict[str, Array]:
+    """Return the landmarks and targets of the settings by name, (3,) float, m, bone frame."""
+    positions = np.reshape(config.landmarks.positions + config.targets.positions, (-1, 3))
+    return dict(zip(config.landmarks.names + config.targets.names, positions))
 
 
 def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, float]:
