@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gradient-SDF of a bone: build, sample, store."""
+"""The gradient-SDF of a bone: build, sample, save and load."""
 
 from gsdf_registration.field.build import build_field
 from gsdf_registration.field.cache import cached_field

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The fine nodes: the compiled loop where the build spends its time.
+Compute the samples at the fine nodes, where the build spends most of its time.
 
-For every block the triangles that may be nearest are gathered, for every group of its nodes
-narrowed, and measured at all nodes of the group at a time, to choose the one from which the sample
-is computed in double precision.
+For each block, the triangles that may be nearest to one of its nodes are gathered. For each group
+of nodes they are narrowed down, and the nearest triangle of every node is found in single
+precision. The sample is then computed from that triangle in double precision.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from gsdf_registration.common.numba_options import compiled
-from gsdf_registration.field.candidates import GROUPS, LANES, gather, measure, narrow
+from gsdf_registration.field.nearest_triangle import GROUPS, LANES, gather, measure, narrow
 from gsdf_registration.field.sample import CELLS, NODES
 from gsdf_registration.field.triangles import write_sample
 
@@ -22,26 +22,26 @@ from gsdf_registration.field.triangles import write_sample
 @compiled
 def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest):
     """
-    Fill the fine nodes of some blocks, but for those on their far sides that another block has too.
+    Fill the fine nodes of some blocks, except nodes on the far sides that belong to another block.
 
     Parameters
     ----------
     tree : Tree
-    origin, voxel, block_of : as in `FieldArrays`
-    cells : (n, 3) int64, the coarse cells of the blocks
-    distances : (n,) float64, of their centres to the surface
-    nodes : (n * NODES**3, 4) float32, filled
-    nearest : (n, 2, 2, 2) int32, filled with the triangles nearest to the corners
+    origin, voxel, block_of : see `FieldArrays`
+    cells : (n, 3) int64, coarse cells of the blocks
+    distances : (n,) float64, m, distance from the centre of each block to the surface
+    nodes : (n * NODES**3, 4) float32, output
+    nearest : (n, 2, 2, 2) int32, output, the triangle nearest to each corner
 
     """
-    # plain arrays pass into the inner loops: those of a tuple are counted in and out every time
+    # plain arrays: numba would count a reference for each array of a tuple in every inner call
     triangle, axes, normal = tree.triangle, tree.axes, tree.normal
-    room = len(triangle)
-    candidate = np.empty(room, np.int32)
-    ball = np.empty((4, room), np.float32)
-    corner = np.empty((room, 3), np.float32)
-    bound = np.empty(room, np.float32)
-    chosen = np.empty(room, np.int32)
+    capacity = len(triangle)
+    candidate = np.empty(capacity, np.int32)
+    ball = np.empty((4, capacity), np.float32)
+    corner = np.empty((capacity, 3), np.float32)
+    bound = np.empty(capacity, np.float32)
+    chosen = np.empty(capacity, np.int32)
     lanes = np.zeros(4 * LANES, np.float32)
     best = np.zeros(LANES, np.int32)
     centre = np.empty(3)
@@ -56,14 +56,14 @@ def fill_blocks(tree, origin, voxel, block_of, cells, distances, nodes, nearest)
                                                          cells[b, 2] + GROUPS[g, 2] // CELLS] >= 0):
                 continue
             m = narrow(triangle, candidate, ball, n, centre, voxel, g, bound, chosen)
-            _place(voxel, g, lanes)
+            _set_positions(voxel, g, lanes)
             measure(axes, candidate, corner, chosen, m, lanes, best)
             _write(triangle, normal, candidate, best, centre, voxel, g, b, nodes, nearest)
 
 
 @compiled
 def copy_far_sides(block_of, cells, first, last, blocks):
-    """Copy the far nodes of some blocks (n, NODES, NODES, NODES, 4) from those that filled them."""
+    """Copy the nodes on the far sides of ``blocks`` from the blocks to which they belong."""
     for b in range(first, last):
         for g in range(len(GROUPS)):
             if GROUPS[g, 3:].max() == CELLS:
@@ -82,8 +82,8 @@ def copy_far_sides(block_of, cells, first, last, blocks):
 
 
 @compiled
-def _place(voxel, g, lanes):
-    """Put the nodes of group ``g``, from the centre of the block, in the ``lanes``."""
+def _set_positions(voxel, g, lanes):
+    """Write the positions of the nodes of group ``g`` relative to the block centre to ``lanes``."""
     lane = 0
     for i in range(GROUPS[g, 0], GROUPS[g, 3]):
         for j in range(GROUPS[g, 1], GROUPS[g, 4]):
@@ -96,7 +96,7 @@ def _place(voxel, g, lanes):
 
 @compiled
 def _write(triangle, normal, candidate, best, centre, voxel, g, block, nodes, nearest):
-    """Write the samples of group ``g``, whose nearest candidates are the ``best``."""
+    """Write the samples of group ``g``; ``best`` are its nearest candidates."""
     lane = 0
     for i in range(GROUPS[g, 0], GROUPS[g, 3]):
         x = centre[0] + (i - 0.5 * CELLS) * voxel

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a bone to its gradient-SDF."""
+"""Build the gradient-SDF of a bone."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ def build_field(bone: Bone, voxel_size: float = 0.001, threads: int = 0) -> Fiel
     """
     Build the gradient-SDF of a bone.
 
-    The fine nodes, in all blocks with a point within three voxels of the surface, hold exact
-    distances to it; the coarse ones beyond may be off by a little.  The bits do not depend on the
+    All blocks with a point within three voxels of the surface have fine nodes, whose distances are
+    exact. The distances at the coarse nodes are approximate. The result is bit-identical for any
     number of threads.
 
     Parameters
     ----------
     bone : Bone
     voxel_size : float, metres
-    threads : int, 0: one a core
+    threads : int, 0: one per core
 
     Returns
     -------
@@ -35,7 +35,7 @@ def build_field(bone: Bone, voxel_size: float = 0.001, threads: int = 0) -> Fiel
     Raises
     ------
     InputError
-        If the voxel is too small for the size of the bone.
+        If the voxel size is too small for the extent of the bone.
 
     """
     grid = Grid.around(bone.bounds, float(voxel_size))

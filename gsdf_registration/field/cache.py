@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fields kept between runs, by content: the same bone at the same voxel size is built once."""
+"""Cache fields on disk by the hash of the bone and the voxel size."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _log = logging.getLogger('gsdf_registration')
 
 
 def cache_directory() -> Path:
-    """Return where fields are kept: ``$GSDF_CACHE_DIR``, else ``gsdf`` in the user's XDG cache."""
-    chosen = os.environ.get('GSDF_CACHE_DIR')
-    if chosen:
-        return Path(chosen)
+    """Return the cache directory: ``$GSDF_CACHE_DIR``, else ``gsdf`` in the XDG cache directory."""
+    directory = os.environ.get('GSDF_CACHE_DIR')
+    if directory:
+        return Path(directory)
     base = os.environ.get('XDG_CACHE_HOME')
     return (Path(base) if base else Path.home() / '.cache') / 'gsdf'
 
 
 def cached_field(bone: Bone, voxel_size: float = 0.001) -> Field:
     """
-    Return the field of a bone from the cache, or build and keep it.
+    Return the field of a bone from the cache; build and cache it if it is not there.
 
-    A damaged file is replaced; where nothing can be kept, the field is built every time.
+    A damaged file is replaced. If the cache cannot be written, a warning is logged.
 
     Parameters
     ----------
@@ -50,5 +50,5 @@ def cached_field(bone: Bone, voxel_size: float = 0.001) -> Field:
         path.parent.mkdir(parents=True, exist_ok=True)
         save_field(field, path)
     except (OSError, InputError) as error:
-        _log.warning('the field is not kept for the next run: %s', error)
+        _log.warning('the field could not be cached: %s', error)
     return field

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The coarse grid: which cells are near the surface, and what lies far from it."""
+"""Find the coarse cells near the surface and compute the samples at the coarse nodes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from gsdf_registration.field.triangles import distance2, write_sample
 
 
 @compiled
-def mark_cells(tree, origin, edge, reach, first, last, distance):
+def cell_distances(tree, origin, edge, reach, first, last, distance):
     """
-    Find the cells of layers ``first`` to before ``last``, centre within ``reach`` of a triangle.
+    Compute the distance from the centres of cells to the surface, up to ``reach``.
 
-    ``distance`` (bx, by, bz) float64, inf at first, is lowered to that of the centre.
+    Only layers from ``first`` to before ``last`` of ``distance`` (bx, by, bz) are written, and only
+    where the distance is smaller than the value that is there.
     """
     triangle, ball = tree.triangle, tree.ball
     _, by, bz = distance.shape
@@ -44,20 +45,19 @@ def mark_cells(tree, origin, edge, reach, first, last, distance):
 
 @inlined
 def _centres_between(x, radius, edge, first, last):
-    """Return the range of cells, along one axis, whose centres lie within ``radius`` of ``x``."""
-    return max(first,
-               math.ceil((x - radius) / edge - 0.5)), min(last,
-                                                          math.floor((x + radius) / edge + 0.5))
+    """Return the range of cells along one axis with centres within ``radius`` of ``x``."""
+    return (max(first, math.ceil((x - radius) / edge - 0.5)),
+            min(last, math.floor((x + radius) / edge + 0.5)))
 
 
 @compiled
-def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
+def propagate_nearest(tree, origin, edge, axis, first, last, nearest, distance2s):
     """
-    Spread the nearest triangles from the known nodes along ``axis``, there and back.
+    Propagate the nearest triangles of the known nodes along ``axis`` in both directions.
 
-    Only lines from ``first`` to before ``last`` of the next axis: lines do not depend on each
-    other. ``nearest`` (nx, ny, nz) int32, -1 where unknown, and ``distance2s`` float64, inf there,
-    are filled once all axes had their turn.
+    Lines are independent of each other; only those from ``first`` to before ``last`` along the next
+    axis are processed. ``nearest`` (nx, ny, nz) int32 is -1 where unknown, ``distance2s`` float64
+    is inf there. Both are complete after one pass along each axis.
     """
     triangle = tree.triangle
     at = np.empty(3, np.int64)
@@ -81,7 +81,7 @@ def spread(tree, origin, edge, axis, first, last, nearest, distance2s):
 
 @compiled
 def fill_coarse(tree, origin, edge, nearest, first, last, coarse):
-    """Fill layers of ``coarse`` (nx ny nz, 4) float32 from triangles ``nearest`` (nx, ny, nz)."""
+    """Fill layers of ``coarse`` (nx ny nz, 4) float32 given the triangles ``nearest``."""
     triangle, normal = tree.triangle, tree.normal
     _, ny, nz = nearest.shape
     for i in range(first, last):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gradient-SDF of one bone, and what goes with it."""
+"""The gradient-SDF of a bone."""
 
 from __future__ import annotations
 
@@ -16,17 +16,16 @@ from gsdf_registration.field.sample import FieldArrays, sample_many
 @dataclass(frozen=True, eq=False)
 class Field:
     """
-    Distance to a bone and its gradient, everywhere; metres, bone frame.
+    Signed distance to a bone and its gradient at any point, bone frame.
 
     arrays : FieldArrays, for the compiled kernels
-    bone_sha256 : hash of the bone it was built from
-    bounds : (2, 3) float64, low and high corner of the surface
-    surface_points, surface_normals : (k, 3) float32, an even sample of the surface, about one on 4
-        mm^2
-    vertices, faces : (n, 3) float32 and (m, 3) int32, the surface for drawing; no faces if it was a
-        point
-        cloud
-    notes : what was repaired in the bone, a sentence each
+    bone_sha256 : hash of the bone
+    bounds : (2, 3) float64, m, lower and upper corner of the bounding box
+    surface_points, surface_normals : (k, 3) float32, m, uniform sample of the surface, about one
+        point per 4 mm^2
+    vertices, faces : (n, 3) float32, m, and (m, 3) int32, the surface for drawing; a point cloud
+        has no faces
+    notes : the repairs of the bone, one sentence each
     """
 
     arrays: FieldArrays
@@ -50,14 +49,14 @@ class Field:
 
     @property
     def nbytes(self) -> int:
-        """Memory taken by all arrays, bytes."""
+        """Memory used by all arrays, bytes."""
         a = self.arrays
         return sum(array.nbytes for array in (a.block_of, a.nodes, self.surface_points,
                                               self.surface_normals, self.vertices, self.faces))
 
     def sample(self, points: ArrayLike) -> tuple[Array, Array]:
         """
-        Return signed distance and unit gradient at any points, far ones included.
+        Return signed distance and unit gradient at points, which may be outside the grid.
 
         Parameters
         ----------
@@ -65,8 +64,8 @@ class Field:
 
         Returns
         -------
-        distance : (n,) float64, negative inside the bone
-        gradient : (n, 3) float64, away from the bone
+        distance : (n,) float64, m, negative inside the bone
+        gradient : (n, 3) float64, outward
 
         Raises
         ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes and surface sample of a point cloud with normals: every point stands for a disc."""
+"""Compute the nodes and the surface sample of a point cloud, each point extended to a disc."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from scipy.spatial import cKDTree
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.grid import Grid
 from gsdf_registration.field.sample import NODES, FieldArrays
-from gsdf_registration.field.surface import thin_out
+from gsdf_registration.field.surface import downsample
 
-BLOCKS = 256    # filled at a time: memory
+BLOCKS = 256    # blocks computed at a time, which limits the memory
 
 
 def fill_from_cloud(grid: Grid, points: Array, normals: Array,
                     threads: int) -> tuple[FieldArrays, np.ndarray, np.ndarray]:
     """
-    Return the nodes of a cloud, and points and normals of its surface (k, 3) float32.
+    Return the nodes, and points and normals (k, 3) float32 of the surface.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def fill_from_cloud(grid: Grid, points: Array, normals: Array,
         corners = grid.origin + grid.edge * nodes.cells[first:first + BLOCKS, None, None, None]
         nodes.blocks[first:first + BLOCKS] = discs.sample(corners + steps)
     nodes.coarse[:] = discs.sample(grid.origin + grid.edge * _indices(nodes.coarse.shape[:3]))
-    return nodes.arrays, *thin_out(points, normals)
+    return nodes.arrays, *downsample(points, normals)
 
 
 def _indices(shape: tuple[int, ...]) -> np.ndarray:
@@ -45,7 +45,7 @@ def _indices(shape: tuple[int, ...]) -> np.ndarray:
 
 class Discs:
     """
-    Discs that cover the surface between the points of a cloud.
+    Discs around the points of a cloud, which cover the surface between them.
 
     Parameters
     ----------
@@ -59,23 +59,23 @@ class Discs:
         self._tree = cKDTree(points)
         self._normals = normals
         self._threads = threads
-        # as far as the sixth neighbour: neighbouring discs overlap, holes of the cloud stay holes
+        # up to the sixth neighbour: neighbouring discs overlap, but holes of the cloud are kept
         self._radii = self._tree.query(points, k=[min(7, len(points))], workers=threads)[0][:, 0]
 
     def sample(self, x: Array) -> np.ndarray:
-        """Return distance and gradient (..., 4) float32 at ``x`` (..., 3), to the nearest disc."""
+        """Return distance and gradient (..., 4) float32 at ``x`` (..., 3) from the nearest disc."""
         _, nearest = self._tree.query(x, workers=self._threads)
         offset = x - self._tree.data[nearest]
         normal = self._normals[nearest]
         height = np.einsum('...i,...i->...', offset, normal)
         side = offset - height[..., None] * normal
         length = np.linalg.norm(side, axis=-1)
-        # the part of the side step that sticks out beyond the rim
+        # share of the in-plane offset that is beyond the rim
         beyond = np.maximum(length - self._radii[nearest], 0.0) / np.where(
             length > 0.0, length, 1.0)
         to_disc = height[..., None] * normal + beyond[..., None] * side
         distance = np.copysign(np.linalg.norm(to_disc, axis=-1), height)
-        # the direction is lost, the normal it is
+        # on the disc the direction is undefined: use the normal
         near = np.abs(distance) < 1e-6 * self._radii[nearest]
         gradient = np.where(near[..., None], normal,
                             to_disc / np.where(near, 1.0, distance)[..., None])

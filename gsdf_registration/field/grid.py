@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the nodes of a field are: a coarse grid round the surface, some of its cells divided."""
+"""The grid of a field: coarse cells around the bone, those near the surface divided into blocks."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.sample import CELLS, NODES, FieldArrays
 
-BAND = 3.0              # half width of the band round the surface that is divided, voxels
-MARGIN = 3              # coarse cells round the surface
-LARGEST_GRID = 2**26    # coarse nodes: 1 GB
+BAND = 3.0              # voxels, half width of the band around the surface with fine nodes
+MARGIN = 3              # coarse cells around the bounding box
+MAX_NODES = 2**26       # coarse nodes: 1 GB
 
 
 @dataclass(frozen=True)
 class Nodes:
     """
-    Room for all nodes of a field, to be filled through the views.
+    All nodes of a field, with views for writing them.
 
     arrays : FieldArrays
-    cells : (n, 3) int64, the coarse cells that are divided into blocks
+    cells : (n, 3) int64, the coarse cells that have a block of fine nodes
     blocks : (n, NODES, NODES, NODES, 4) float32, a view
     coarse : (bx + 1, by + 1, bz + 1, 4) float32, a view
     """
@@ -36,7 +36,7 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Grid:
-    """The coarse grid: ``shape`` cells from ``origin`` on, m, each CELLS voxels wide."""
+    """The coarse grid: ``shape`` cells of CELLS voxels, with its lower corner at ``origin``, m."""
 
     origin: Array
     shape: tuple[int, ...]
@@ -45,18 +45,18 @@ class Grid:
     @classmethod
     def around(cls, bounds: Array, voxel: float) -> Grid:
         """
-        Return the grid round a bounding box (2, 3), its nodes at whole multiples of their spacing.
+        Return the grid around a bounding box (2, 3), m, with nodes at multiples of their spacing.
 
         Raises
         ------
         InputError
-            If it were too large.
+            If the grid would be too large.
 
         """
         low = np.floor(bounds[0] / (CELLS * voxel)).astype(np.int64) - MARGIN
         high = np.ceil(bounds[1] / (CELLS * voxel)).astype(np.int64) + MARGIN
         shape = tuple((high - low).tolist())
-        if math.prod(n + 1 for n in shape) > LARGEST_GRID:
+        if math.prod(n + 1 for n in shape) > MAX_NODES:
             raise InputError(
                 f'voxels of {voxel * 1e3:g} mm are too small for a bone of '
                 f'{np.ptp(bounds, axis=0).max() * 1e3:.0f} mm; choose a larger voxel size')
@@ -69,11 +69,11 @@ class Grid:
 
     @property
     def reach(self) -> float:
-        """How far from the surface the centre of a cell with points in the band can be, m."""
+        """Largest distance from the surface to the centre of a cell that intersects the band, m."""
         return (BAND + 0.5 * math.sqrt(3.0) * CELLS) * self.voxel
 
     def allocate(self, distance: Array) -> Nodes:
-        """Return room for the nodes, given the cell centres' ``distance`` to the surface."""
+        """Allocate the nodes, given the ``distance`` from the cell centres to the surface."""
         divided = np.abs(distance) <= self.reach
         cells = np.argwhere(divided)
         block_of = np.full(self.shape, -1, dtype=np.int32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the name of a model to the field the solver works on."""
+"""Load a bone model and return its field."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from msg_adapters.points import read_model
 
 def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
     """
-    Return the gradient-SDF of a bone, from the cache if it was built before.
+    Return the gradient-SDF of a bone model, from the cache if possible.
 
     Parameters
     ----------
@@ -23,14 +23,14 @@ def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
         Mesh (STL, PLY, OBJ, OFF), point cloud with normals, or field (.gsdf); a path or a
         package:// URI.
     unit : str
-        Of the lengths in the file, 'mm' or 'm'; a field knows its own.
+        Unit of length of the file, 'mm' or 'm'; ignored for a field.
     voxel_size : float
-        Spacing of the fine samples, m; a field keeps its own.
+        Spacing of the fine nodes, m; ignored for a field.
 
     Raises
     ------
     InputError
-        When there is no such file, it is damaged, or its size is no bone's (`wrong_unit`).
+        If the file is missing or damaged, or the size is not that of a bone (`wrong_unit`).
 
     """
     file = find_model(path)
@@ -48,13 +48,13 @@ def find_model(path: str) -> Path:
     """
     Return the file of a path or of a ``package://name/path`` URI.
 
-    A package is looked for in the ament index, in ``share/`` of this Python, and where it is
-    imported from, a checkout included.
+    The package is searched for in the ament index, in ``share/`` of the Python prefix, and in the
+    directory from which Python imports it.
 
     Raises
     ------
     InputError
-        When the package has no such file.
+        If the package is not installed or has no such file.
 
     """
     if not path.startswith('package://'):
@@ -67,12 +67,13 @@ def find_model(path: str) -> Path:
 
 
 def _shares(name: str) -> list[Path]:
+    """Return the directories that may contain the files of a package."""
     shares = [Path(sys.prefix) / 'share' / name]
     try:
         from ament_index_python.packages import get_package_share_directory
         shares.insert(0, Path(get_package_share_directory(name)))
     except (ImportError, LookupError, OSError, ValueError):
-        pass    # no ROS here, or it does not know the package
+        pass    # ROS is not installed, or it has no such package
     spec = importlib.util.find_spec(name) if name.isidentifier() else None
     if spec is not None and spec.origin is not None:
         folder = Path(spec.origin).parent

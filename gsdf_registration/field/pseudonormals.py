@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normals that tell inside from outside at faces, edges, corners (Baerentzen, Aanaes TVCG 2005)."""
+"""Pseudonormals, which give the sign of the distance (Baerentzen & Aanaes, TVCG 2005)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gsdf_registration.common.rigid import Array
 
 def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:
     """
-    Return the pseudonormals of every face: of itself, its edges ab, bc, ca and its corners a, b, c.
+    Return the pseudonormals of each face, of its edges ab, bc, ca and of its corners a, b, c.
 
-    An edge's is the sum of the normals of all faces that share it, a corner's that of its faces
-    weighted by their angle there.
+    The pseudonormal of an edge is the sum of the normals of the faces that share it. That of a
+    corner is the sum of the normals of its faces, weighted by their angles at the corner.
 
     Parameters
     ----------
@@ -35,11 +35,12 @@ def pseudonormals(vertices: Array, faces: np.ndarray) -> np.ndarray:
 
 @compiled
 def _fill(vertices, faces, table):
+    """Fill ``table``, see `pseudonormals`."""
     normal = np.empty((len(faces), 3))
     of_vertex = np.zeros((len(vertices), 3))
     for f in range(len(faces)):
         _add_corners(vertices, faces, f, normal, of_vertex)
-    around, start = _faces_round_vertices(faces, len(vertices))
+    around, start = _faces_around_vertices(faces, len(vertices))
     for f in range(len(faces)):
         _write_unit(normal[f, 0], normal[f, 1], normal[f, 2], table, f, 0)
         for c in range(3):
@@ -57,7 +58,7 @@ def _fill(vertices, faces, table):
 
 @inlined
 def _add_corners(vertices, faces, f, normal, of_vertex):
-    """Set the unit normal of face ``f``; add it to its vertices', weighted by the angles there."""
+    """Set the normal of face ``f`` and add it to its vertices, weighted by the angles there."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     ux, uy, uz = vertices[b, 0] - x, vertices[b, 1] - y, vertices[b, 2] - z
@@ -75,7 +76,7 @@ def _add_corners(vertices, faces, f, normal, of_vertex):
 
 @inlined
 def _write_unit(x, y, z, table, face, row):
-    """Write (x, y, z) at unit length."""
+    """Write (x, y, z), normalized."""
     n = math.sqrt(x * x + y * y + z * z)
     s = 1.0 / n if n > 1e-9 else 0.0
     table[face, row, 0] = x * s
@@ -84,8 +85,8 @@ def _write_unit(x, y, z, table, face, row):
 
 
 @compiled
-def _faces_round_vertices(faces, n):
-    """Return ``around`` and ``start``: the faces round v are ``around[start[v]:start[v + 1]]``."""
+def _faces_around_vertices(faces, n):
+    """Return ``around`` and ``start``; ``around[start[v]:start[v + 1]]`` are the faces at v."""
     start = np.zeros(n + 1, np.int64)
     for f in range(len(faces)):
         for c in range(3):

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Distance and gradient of a gradient-SDF at any point, in one call, or at many.
+Sample the distance and the gradient of a gradient-SDF at one or many points.
 
-Each of the eight nodes round a point predicts the distance there from its own sample, d_i + g_i .
-(x - x_i), the first-order model of Sommer et al. (CVPR 2022).  The trilinear blend of these
-predictions errs by as much to one side as the blend of the plain d_i to the other; half way
-between, sum_i w_i (d_i + g_i . (x - x_i) / 2), is exact for quadratic distances and continuous.
+Each of the eight nodes around a point x predicts the distance there as d_i + g_i . (x - x_i), the
+first-order model of Sommer et al. (CVPR 2022). The trilinear interpolation of these predictions has
+the same error as that of the distances d_i, with opposite sign. Their mean,
+sum_i w_i (d_i + g_i . (x - x_i) / 2), is continuous and exact for quadratic distances.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ import numpy as np
 
 from gsdf_registration.common.numba_options import inlined_kernel, kernel
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.field.lanes import blend_nodes
+from gsdf_registration.field.blend import blend_nodes
 
-CELLS = 4           # fine cells along an edge of a block
-# nodes along an edge: a block holds its far faces too, so that no cell spans two blocks
+CELLS = 4           # fine cells along the edge of a block
+# nodes along the edge: a block includes its far faces, so that no cell spans two blocks
 NODES = CELLS + 1
 
-BATCH = 128         # points sampled at once: all that is noted of them stays in the first cache
+BATCH = 128         # points sampled at a time; their intermediate results fit into the L1 cache
 
 _f = np.float32
-_u = np.uint64      # unsigned indices spare the kernels the check for negative ones
-# the block of a fine cell and its place there, of a power of two
+_u = np.uint64      # unsigned indices avoid the check for negative ones
+# for the block of a fine cell and its index there; CELLS is a power of two
 SHIFT, LAST = _u(CELLS.bit_length() - 1), _u(CELLS - 1)
 
 
 class FieldArrays(NamedTuple):
     """
-    A gradient-SDF as the kernels see it; lengths in metres, bone frame.
+    The arrays of a gradient-SDF for the kernels, bone frame.
 
-    A node is (distance, gx, gy, gz): negative inside the bone, the gradient of unit length, away
-    from the bone.  There are two levels: blocks of fine nodes in a band round the surface, and
-    coarse nodes at the block corners of the whole box.
+    A node is (distance, gx, gy, gz). The distance is negative inside the bone, the gradient has
+    unit length and points outward. There are two levels: blocks of fine nodes in a band around the
+    surface, and coarse nodes at the corners of all cells of the grid.
 
-    origin : (3,) float64, position of coarse node (0, 0, 0)
-    voxel : float, spacing of the fine nodes; the coarse ones stand CELLS * voxel apart
-    block_of : (bx, by, bz) int32, index of the fine block of a coarse cell; -1 where there is none
-    nodes : (m, 4) float32: the n blocks, each (NODES, NODES, NODES) in C order, then the coarse (bx
-        + 1, by + 1, bz + 1)
+    origin : (3,) float64, m, position of coarse node (0, 0, 0)
+    voxel : float, m, spacing of the fine nodes; the spacing of the coarse nodes is CELLS * voxel
+    block_of : (bx, by, bz) int32, index of the block of a coarse cell, -1 if it has none
+    nodes : (m, 4) float32, the n blocks, each (NODES, NODES, NODES) in C order, then the coarse
+        nodes (bx + 1, by + 1, bz + 1)
     first_coarse : int, row of the first coarse node, n * NODES**3
     """
 
@@ -56,13 +56,13 @@ class FieldArrays(NamedTuple):
 
 @inlined_kernel
 def _blend(nodes, at, stride_x, stride_y, u, v, w, step):
-    """Blend the cell with first node row ``at``, at (u, v, w) in [0, 1]^3; ``step``: spacing."""
+    """Sample a cell of width ``step`` with first node row ``at``, at (u, v, w) in [0, 1]^3."""
     d, gx, gy, gz, x, y, z = blend_nodes(nodes, at, stride_x, stride_y, u, v, w)
-    # sum_i w_i g_i . (x - x_i) / 2, with the weights of opposite faces multiplied out
+    # sum_i w_i g_i . (x - x_i) / 2, with the terms of opposite faces combined
     one = _f(1.0)
     d -= _f(0.5) * step * (u * (one - u) * x + v * (one - v) * y + w * (one - w) * z)
     n = math.sqrt(gx * gx + gy * gy + gz * gz)
-    if n < _f(1e-6):  # on the medial axis the gradients cancel: take one side's
+    if n < _f(1e-6):  # on the medial axis the gradients cancel: use that of one node
         return float(d), float(nodes[at, 1]), float(nodes[at, 2]), float(nodes[at, 3])
     s = one / n
     return float(d), float(gx * s), float(gy * s), float(gz * s)
@@ -83,18 +83,18 @@ def _sample_cell(field, i, j, k, u, v, w):
         stride_x, stride_y = _u(NODES * NODES), _u(NODES)
         at = ((_u(block) * _u(NODES) + a) * _u(NODES) + b) * _u(NODES) + c
         u, v, w, step = u - a, v - b, w - c, field.voxel
-    # one blend for both levels: inlined once
+    # one call for both levels, which is inlined once
     return _blend(field.nodes, at, stride_x, stride_y, _f(u), _f(v), _f(w), _f(step))
 
 
 @kernel
 def _sample_outside(field, px, py, pz):
-    """Sample outside the box: measure from the surface point nearest to where the box is left."""
-    if not math.isfinite(px + py + pz):     # it has no cell: reading one would leave the array
+    """Sample outside the grid, by way of the surface point nearest to the border of the grid."""
+    if not math.isfinite(px + py + pz):     # it has no cell: an index would be out of range
         return math.nan, math.nan, math.nan, math.nan
     edge = CELLS * field.voxel
     bx, by, bz = field.block_of.shape
-    # the last cell's far face counts as its inside
+    # the far face of the grid belongs to the last cell
     qx, qy = min(max(px, 0.0), bx - 1e-6), min(max(py, 0.0), by - 1e-6)
     qz = min(max(pz, 0.0), bz - 1e-6)
     i, j, k = _u(qx), _u(qy), _u(qz)
@@ -106,7 +106,7 @@ def _sample_outside(field, px, py, pz):
 
 @inlined_kernel
 def sample(field, x, y, z):
-    """Return (distance, gx, gy, gz) of the `FieldArrays` at any one point in space, in metres."""
+    """Return (distance, gx, gy, gz) of the `FieldArrays` at any point (x, y, z), m."""
     per_edge = 1.0 / (CELLS * field.voxel)
     px = (x - field.origin[0]) * per_edge
     py = (y - field.origin[1]) * per_edge
@@ -123,11 +123,10 @@ def sample_batch(field, x, origin, n, value):
     """
     Fill ``value`` (4, BATCH) float32, distance and gradient, at the first ``n`` points of a batch.
 
-    In half the time that `sample` takes one by one: a sample is a chain of steps, each waiting for
-    the one before. Here each step is a loop over the batch; the plain ones become vector
-    instructions, in the others the points overlap.
+    This takes half as long as `sample` for each point. The steps of one sample depend on each
+    other; here each step is a loop over the batch, which is vectorized or at least pipelined.
 
-    x : (3, BATCH) float64, m, from ``origin`` (3,) in the bone frame
+    x : (3, BATCH) float64, m, relative to ``origin`` (3,) in the bone frame
     """
     cell = np.empty((3, BATCH), np.int32)
     share = np.empty((3, BATCH), np.float32)
@@ -137,7 +136,7 @@ def sample_batch(field, x, origin, n, value):
     _blend_batch(field, cell, share, n, value)
     if _normalize(value, n) == n:
         return
-    for k in range(n):      # on the medial axis, or where there are no fine nodes
+    for k in range(n):      # on the medial axis or in a cell without fine nodes
         if value[1, k] == 0.0 and value[2, k] == 0.0 and value[3, k] == 0.0:
             value[0, k], value[1, k], value[2, k], value[3, k] = sample(
                 field, origin[0] + x[0, k], origin[1] + x[1, k], origin[2] + x[2, k])
@@ -145,7 +144,7 @@ def sample_batch(field, x, origin, n, value):
 
 @kernel
 def _find(x, shift, voxel, cells, n, cell, share):
-    """Fill the fine cell along one axis, -1 outside the box, and how far into it each point is."""
+    """Fill the index of the fine cell along one axis, -1 outside the grid, and the share in it."""
     per_cell = 1.0 / voxel
     for k in range(n):
         place = (x[k] + shift) * per_cell
@@ -157,7 +156,7 @@ def _find(x, shift, voxel, cells, n, cell, share):
 
 @kernel
 def _blend_batch(field, cell, share, n, value):
-    """Fill ``value`` from the fine nodes; the gradients as they are blended, zero without nodes."""
+    """Fill ``value`` from the fine nodes; gradients are not normalized, zero without nodes."""
     half, one = _f(0.5 * field.voxel), _f(1.0)
     for k in range(n):
         i, j, m = _u(cell[0, k]), _u(cell[1, k]), _u(cell[2, k])
@@ -171,13 +170,13 @@ def _blend_batch(field, cell, share, n, value):
         u, v, w = share[0, k], share[1, k], share[2, k]
         d, value[1, k], value[2, k], value[3, k], x, y, z = blend_nodes(
             field.nodes, at, _u(NODES * NODES), _u(NODES), u, v, w)
-        # the same blend as that of `sample`
+        # the same formula as in `_blend`
         value[0, k] = d - half * (u * (one - u) * x + v * (one - v) * y + w * (one - w) * z)
 
 
 @kernel
 def _normalize(value, n):
-    """Give the gradients unit length, or none if they cancel; return how many have it."""
+    """Normalize the gradients, or set them to zero if they cancel; return how many are not zero."""
     count = 0
     for k in range(n):
         x, y, z = value[1, k], value[2, k], value[3, k]

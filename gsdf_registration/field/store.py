@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A field as one file.
+Save and load fields.
 
-Magic, length of the header, header (JSON), arrays as they lie in memory (little-endian), CRC-32 of
-all before it.  No pickle: nothing is run on loading.
+A file consists of the magic number, the length of the header, the header (JSON), the arrays in
+little-endian order, and a CRC-32 of all that precedes it. Loading executes no code (no pickle).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.field.field import Field
 from gsdf_registration.field.sample import FieldArrays
 
-MAGIC = b'GSDF\r\n\x1a\n'     # as PNG's: a file mangled as text is noticed at once
+MAGIC = b'GSDF\r\n\x1a\n'     # as in PNG: detects a file that was converted as text
 VERSION = 1
-# of the first array: loaded ones run through the same kernels as built ones
+# bytes, of the first array: aligned arrays need no further specialization of the kernels
 ALIGNMENT = 64
 _DTYPES = {'block_of': '<i4', 'nodes': '<f4', 'surface_points': '<f4', 'surface_normals': '<f4',
            'vertices': '<f4', 'faces': '<i4'}
@@ -33,7 +33,7 @@ _DTYPES = {'block_of': '<i4', 'nodes': '<f4', 'surface_points': '<f4', 'surface_
 
 def save_field(field: Field, path: str | os.PathLike[str]) -> None:
     """
-    Write a field to a file, whole or not at all.
+    Write a field to a file atomically.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def load_field(path: str | os.PathLike[str]) -> Field:
     Raises
     ------
     InputError
-        If the file cannot be read, is no field, was written by a newer version or is damaged.
+        If the file cannot be read, is not a field, has another format version, or is damaged.
 
     """
     try:
@@ -88,9 +88,9 @@ def load_field(path: str | os.PathLike[str]) -> Field:
         raise InputError(f'{path}: cannot be read ({error.strerror})') from error
     start = len(MAGIC) + 4
     if data[:len(MAGIC)] != MAGIC:
-        raise InputError(f'{path}: is not a gsdf field; build one with `gsdf build`')
+        raise InputError(f'{path}: is not a field file; build one with `gsdf build`')
     damaged = InputError(
-        f'{path}: the field is damaged or cut short; build it again with `gsdf build`')
+        f'{path}: the field file is damaged or truncated; build it again with `gsdf build`')
     try:
         end = start + struct.unpack('<I', data[len(MAGIC):start])[0]
         header = json.loads(data[start:end])
@@ -99,7 +99,7 @@ def load_field(path: str | os.PathLike[str]) -> Field:
         raise damaged from error
     if version != VERSION:
         raise InputError(
-            f'{path}: is a field of format {version}, but this program reads {VERSION}; '
+            f'{path}: has format version {version}, but only version {VERSION} is supported; '
             'build it again with `gsdf build`')
     if struct.pack('<I', zlib.crc32(memoryview(data)[:-4])) != data[-4:]:
         raise damaged
@@ -110,7 +110,7 @@ def load_field(path: str | os.PathLike[str]) -> Field:
 
 
 def _arrays(field: Field) -> dict[str, np.ndarray]:
-    """Return the arrays of a field by the names of `_DTYPES`."""
+    """Return the arrays of a field by name, see `_DTYPES`."""
     a = field.arrays
     return {
         'block_of': a.block_of, 'nodes': a.nodes, 'surface_points': field.surface_points,
@@ -119,7 +119,7 @@ def _arrays(field: Field) -> dict[str, np.ndarray]:
 
 
 def _field(header: dict[str, Any], data: bytearray, offset: int) -> Field:
-    """Return the field described by an intact ``header``; its arrays are views of ``data``."""
+    """Return the field of a valid ``header``; its arrays are views of ``data``."""
     arrays = {}
     for name, shape in header['shapes'].items():
         arrays[name] = np.frombuffer(data, _DTYPES[name], math.prod(shape), offset).reshape(shape)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The triangles of a mesh, made ready for distance queries."""
+"""A bounding volume hierarchy of triangles for distance queries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gsdf_registration.common.numba_options import compiled
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.pseudonormals import pseudonormals
 
-LEAF = 16    # triangles in a leaf of the tree, at most
+LEAF = 16    # maximum number of triangles in a leaf
 
 
 class Tree(NamedTuple):
@@ -22,16 +22,14 @@ class Tree(NamedTuple):
 
     Node i has the children 2i and 2i + 1, the root is 1.
 
-    box : (2 l, 6) float64, low and high corner of what a node holds; leaves are the nodes l .. 2l -
-        1
-    start : (l + 1,) int64, leaf j holds the triangles start[j] .. start[j + 1] - 1
+    box : (2 l, 6) float64, lower and upper corner of each node; the leaves are nodes l .. 2l - 1
+    start : (l + 1,) int64, leaf j contains the triangles start[j] .. start[j + 1] - 1
     triangle : (m, 16) float64, corner a, edges ab and ac, ab.ab, ab.ac, ac.ac, and the inverses of
-        ab.ab,
-        ac.ac, bc.bc and of the square of twice the area
-    ball : (m, 4) float64, centre and radius of the smallest circle round the triangle
-    axes : (m, 14) float32, unit vectors along ab, across it in the plane, and normal to it; in
-        these axes,
-        from a, b = (b, 0) and c = (p, q): b, p, q, and the inverses of ac.ac and bc.bc
+        ab.ab, ac.ac, bc.bc and of the square of twice the area
+    ball : (m, 4) float64, centre and radius of the smallest sphere around the triangle
+    axes : (m, 14) float32, unit vectors along ab, perpendicular to ab in the plane, and normal to
+        the plane; then b, p, q, where (b, 0) and (p, q) are corners b and c in these axes from a;
+        then the inverses of ac.ac and bc.bc
     normal : (m, 7, 3) float32, pseudonormals of the face, edges ab, bc, ca and corners a, b, c
     """
 
@@ -53,7 +51,7 @@ def build_tree(vertices: Array, faces: np.ndarray) -> Tree:
     faces : (m, 3) int, m >= 1, no face of zero area
 
     """
-    # the order of a kd-tree: halves of it, halves of these and so on are neighbours in space
+    # in the order of a k-d tree, triangles of the same half, quarter, ... are close in space
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     order = cKDTree(a + b + c, leafsize=LEAF).indices
     corners = vertices[faces[order]]
@@ -95,7 +93,7 @@ def _prepare(corners, triangle, ball, axes):
         triangle[t, 9], triangle[t, 10], triangle[t, 11] = abab, abac, acac
         triangle[t, 12], triangle[t, 13] = 1.0 / abab, 1.0 / acac
         triangle[t, 14], triangle[t, 15] = 1.0 / bcbc, 1.0 / area2
-        # the circumcentre; beyond a side, the triangle is obtuse: the middle of that side
+        # the circumcentre, or the midpoint of the longest side of an obtuse triangle
         v = 0.5 * acac * (abab - abac) / area2
         w = 0.5 * abab * (acac - abac) / area2
         if v <= 0.0:
@@ -108,7 +106,7 @@ def _prepare(corners, triangle, ball, axes):
                  (v - 1.0) ** 2 * abab + 2.0 * (v - 1.0) * w * abac + w * w * acac,
                  v * v * abab + 2.0 * v * (w - 1.0) * abac + (w - 1.0) ** 2 * acac)
         ball[t, 3] = math.sqrt(r2) * (1.0 + 1e-5)
-        # u along ab, the normal, v across
+        # u along ab, v perpendicular to it, and the normal
         b, double = math.sqrt(abab), math.sqrt(area2)
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Exact signed distance and gradient to one triangle.
+Exact signed distance and gradient to a triangle.
 
-The closest point is found by the triangle's Voronoi regions (Ericson, Real-Time Collision
-Detection, 5.1.5), the sign by the pseudonormal of the face, edge or corner it lies on (Baerentzen &
-Aanaes, TVCG 2005).  ``tri`` are the triangles of a `Tree`.
+The closest point is found with the Voronoi regions of the triangle (Ericson, Real-Time Collision
+Detection, 5.1.5). The sign is that of the pseudonormal of the closest face, edge or corner
+(Baerentzen & Aanaes, TVCG 2005). ``tri`` is `Tree.triangle`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gsdf_registration.common.numba_options import inlined
 
 @inlined
 def closest(tri, i, x, y, z):
-    """Return (v, w, feature) of the closest point a + v ab + w ac; feature: `pseudonormals` row."""
+    """Return (v, w, row) of the closest point a + v ab + w ac, with its row of `pseudonormals`."""
     px = x - tri[i, 0]
     py = y - tri[i, 1]
     pz = z - tri[i, 2]
@@ -57,10 +57,11 @@ def offset(tri, i, v, w, x, y, z):
 @inlined
 def distance2(tri, i, x, y, z):
     """
-    Return the squared distance from (x, y, z) to triangle ``i``, to choose by.
+    Return the squared distance from (x, y, z) to triangle ``i``, for comparisons.
 
-    To the plane if the foot lies inside, else to the nearest edge: all from two dot products,
-    without a branch to mispredict; good to 1e-16 of the squared distance to corner a.
+    It is that to the plane if the projection is inside the triangle, else that to the nearest edge.
+    It is computed from two dot products without branches, accurate to 1e-16 of the squared distance
+    to corner a.
     """
     px = x - tri[i, 0]
     py = y - tri[i, 1]
@@ -71,7 +72,7 @@ def distance2(tri, i, x, y, z):
     v = acac * d1 - abac * d2
     w = abab * d2 - abac * d1
     det = abab * acac - abac * abac
-    # squared distance to a, less |p - a|^2, of the nearest point of the plane and of each edge
+    # squared distance to the plane and to each edge, minus |p - a|^2
     ab = _along(d1, tri[i, 12], abab)
     ac = _along(d2, tri[i, 13], acac)
     bc = _along(d2 - d1 - abac + abab, tri[i, 14], abab - 2.0 * abac + acac) + abab - 2.0 * d1
@@ -85,7 +86,7 @@ def distance2(tri, i, x, y, z):
 
 @inlined
 def _along(dot, inverse, length2):
-    """Return the least of t^2 length2 - 2 t dot for t in [0, 1]."""
+    """Return the minimum of t^2 length2 - 2 t dot for t in [0, 1]."""
     t = dot * inverse
     t = t if t > 0.0 else 0.0
     t = t if t < 1.0 else 1.0
@@ -95,10 +96,10 @@ def _along(dot, inverse, length2):
 @inlined
 def write_sample(tri, normal, i, x, y, z, on_surface, out, row):
     """
-    Write distance and unit gradient at (x, y, z), whose nearest triangle is ``i``, to out[row].
+    Write signed distance and unit gradient at (x, y, z) to out[row], given the nearest triangle.
 
-    The distance is signed.  ``on_surface``: distance below which the direction to the surface is
-    lost; the pseudonormal it is then.
+    Below the distance ``on_surface`` the gradient is the pseudonormal, because the direction to the
+    closest point is undefined.
     """
     v, w, feature = closest(tri, i, x, y, z)
     dx, dy, dz = offset(tri, i, v, w, x, y, z)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The nodes of a field are exact, the band is covered, and neither threads nor units change anything.
-"""
+"""Test that the nodes of a field are exact, and do not depend on threads or units."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def box_distance(x, half):
 
 
 def distance_to_mesh(x, vertices, faces):
-    """Return unsigned distances (n,): of every plane, edge and corner, the nearest there is."""
+    """Return unsigned distances (n,) by brute force over all faces, edges and corners."""
     a, b, c = (vertices[faces[:, i]][None] for i in range(3))
     p = x[:, None]
     normal = np.cross(b - a, c - a)
@@ -59,20 +59,20 @@ def distance_to_mesh(x, vertices, faces):
     return np.where(inside, np.minimum(best, height), best).min(axis=1)
 
 
-def test_nodes_of_a_box_are_exact():
+def test_fine_nodes_of_a_box_are_exact():
     half = np.array([0.02, 0.015, 0.0105])
     field = build_field(bone_of(trimesh.creation.box(2 * half)), VOXEL)
     x, nodes = fine_nodes(field)
     np.testing.assert_allclose(nodes[:, 0], box_distance(x, half), atol=2e-9)
     step = 1e-5
     inner, outer = (box_distance(x + s * step * nodes[:, 1:], half) for s in (-1, 1))
-    # along the gradient the distance grows as fast as one goes; on the medial axis it falls
+    # along the gradient the distance has slope one, on the medial axis only in one direction
     np.testing.assert_allclose(np.maximum(outer - nodes[:, 0], nodes[:, 0] - inner),
                                step,
                                rtol=1e-3)
 
 
-def test_coarse_nodes_of_a_box_are_near_exact():
+def test_coarse_nodes_of_a_box_are_accurate_to_a_voxel():
     half = np.array([0.02, 0.015, 0.0105])
     field = build_field(bone_of(trimesh.creation.box(2 * half)), VOXEL)
     x, nodes = coarse_nodes(field)
@@ -80,7 +80,7 @@ def test_coarse_nodes_of_a_box_are_near_exact():
 
 
 @pytest.mark.parametrize('subdivisions', [0, 3])
-def test_nodes_of_spheres_are_exact_with_large_and_small_faces(subdivisions):
+def test_fine_nodes_are_exact_for_large_and_small_faces(subdivisions):
     bone = bone_of(trimesh.creation.icosphere(subdivisions, 0.02))
     x, nodes = fine_nodes(build_field(bone, VOXEL))
     some = np.arange(0, len(x), 97)
@@ -90,7 +90,7 @@ def test_nodes_of_spheres_are_exact_with_large_and_small_faces(subdivisions):
     assert (np.sign(nodes[clear, 0]) == np.sign(np.linalg.norm(x[clear], axis=1) - 0.018)).all()
 
 
-def test_nodes_of_a_torus_are_exact():
+def test_fine_nodes_of_a_torus_are_exact():
     bone = torus()
     x, nodes = fine_nodes(build_field(bone, VOXEL))
     some = np.arange(0, len(x), 211)
@@ -98,12 +98,12 @@ def test_nodes_of_a_torus_are_exact():
     np.testing.assert_allclose(np.abs(nodes[some, 0]), exact, atol=2e-9)
 
 
-def test_gradients_have_unit_length_everywhere():
+def test_all_gradients_have_unit_length():
     field = build_field(torus(), VOXEL)
     np.testing.assert_allclose(np.linalg.norm(field.arrays.nodes[:, 1:], axis=1), 1.0, atol=1e-6)
 
 
-def test_the_band_of_three_voxels_is_fine():
+def test_band_of_three_voxels_has_fine_nodes():
     bone = torus()
     field = build_field(bone, VOXEL)
     rng = np.random.default_rng(0)
@@ -115,7 +115,7 @@ def test_the_band_of_three_voxels_is_fine():
     assert (field.arrays.block_of[tuple(cells.T)] >= 0).all()
 
 
-def test_both_sides_of_a_thin_wall_are_seen():
+def test_thin_wall_has_two_sides():
     half = np.array([0.03, 0.03, 0.0008])
     field = build_field(bone_of(trimesh.creation.box(2 * half)), VOXEL)
     rng = np.random.default_rng(1)
@@ -126,7 +126,7 @@ def test_both_sides_of_a_thin_wall_are_seen():
     np.testing.assert_allclose(nodes[:, 0], box_distance(x, half), atol=2e-9)
 
 
-def test_shared_nodes_of_neighbouring_blocks_agree():
+def test_shared_nodes_of_adjacent_blocks_are_equal():
     field = build_field(torus(), VOXEL)
     a = field.arrays
     x, nodes = fine_nodes(field)
@@ -136,7 +136,7 @@ def test_shared_nodes_of_neighbouring_blocks_agree():
 
 
 @pytest.mark.parametrize('threads', [2, 3, 0])
-def test_the_bits_do_not_depend_on_the_threads(threads):
+def test_field_is_bit_identical_for_any_number_of_threads(threads):
     one, other = (build_field(torus(), VOXEL, n) for n in (1, threads))
     assert one.arrays.nodes.tobytes() == other.arrays.nodes.tobytes()
     assert one.arrays.block_of.tobytes() == other.arrays.block_of.tobytes()
@@ -144,7 +144,7 @@ def test_the_bits_do_not_depend_on_the_threads(threads):
 
 
 @pytest.mark.parametrize('factor', [2.0, 16.0, 0.5])
-def test_the_unit_changes_only_the_scale(factor):
+def test_field_scales_with_the_unit(factor):
     mesh = trimesh.creation.torus(0.03, 0.01)
     one = build_field(make_bone(mesh.vertices, mesh.faces), 0.002)
     other = build_field(make_bone(mesh.vertices * factor, mesh.faces), 0.002 * factor)
@@ -153,17 +153,17 @@ def test_the_unit_changes_only_the_scale(factor):
                                   other.arrays.nodes)
 
 
-def test_halving_the_voxel_costs_as_the_surface_not_the_volume():
+def test_memory_grows_with_the_surface_and_not_with_the_volume():
     bone = bone_of(trimesh.creation.icosphere(4, 0.05))
     assert build_field(bone, 0.0005).nbytes < 5.0 * build_field(bone, 0.001).nbytes
 
 
-def test_a_voxel_too_small_for_the_bone_is_refused():
+def test_rejects_a_voxel_size_that_is_too_small_for_the_bone():
     with pytest.raises(InputError, match='larger voxel'):
         build_field(bone_of(trimesh.creation.icosphere(1, 1.0)), 0.0001)
 
 
-def test_the_sample_of_the_surface_is_even_and_outward():
+def test_surface_sample_is_uniform_and_outward():
     bone = bone_of(trimesh.creation.icosphere(4, 0.05))
     field = build_field(bone, 0.002)
     area = 4.0 * np.pi * 0.05**2
@@ -175,7 +175,7 @@ def test_the_sample_of_the_surface_is_even_and_outward():
     assert np.ptp(np.bincount(octants)) < 0.05 * len(field.surface_points)
 
 
-def test_a_point_cloud_gives_the_field_of_its_surface():
+def test_field_of_a_point_cloud_matches_its_surface():
     n = 20000
     z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
     angle = np.arange(n) * np.pi * (3.0 - np.sqrt(5.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the name of a model to its field."""
+"""Test `load_model` and `find_model`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gsdf_registration.field.model import find_model, load_model
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path / 'cache'))
 
 
@@ -26,30 +26,29 @@ def mesh(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_unit_is_as_stated(mesh: Path) -> None:
+def test_rejects_a_wrong_unit(mesh: Path) -> None:
     assert load_model(str(mesh), 'mm', 0.004).extent == pytest.approx(0.08, rel=1e-2)
     with pytest.raises(InputError) as refusal:
         load_model(str(mesh), 'm', 0.004)
     assert refusal.value.reason is Reason.WRONG_UNIT and str(mesh) in refusal.value.message
 
 
-def test_the_second_time_it_comes_from_the_cache(mesh: Path,
-                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+def test_second_load_uses_the_cache(mesh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = load_model(str(mesh), 'mm', 0.004)
     monkeypatch.setattr('gsdf_registration.field.cache.build_field',
                         lambda *_: pytest.fail('built again'))
     assert load_model(str(mesh), 'mm', 0.004).bone_sha256 == first.bone_sha256
 
 
-def test_a_field_is_loaded_as_it_is(mesh: Path, tmp_path: Path) -> None:
+def test_unit_and_voxel_size_do_not_change_a_field_file(mesh: Path, tmp_path: Path) -> None:
     built = load_model(str(mesh), 'mm', 0.004)
     save_field(built, tmp_path / 'bone.gsdf')
     loaded = load_model(str(tmp_path / 'bone.gsdf'), 'm', 0.001)
     assert (loaded.voxel_size, loaded.bone_sha256) == (0.004, built.bone_sha256)
 
 
-def test_a_package_uri_is_found_in_the_ament_index(mesh: Path, tmp_path: Path,
-                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finds_a_package_uri_in_the_ament_index(mesh: Path, tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip('ament_index_python')
     share = tmp_path / 'share' / 'some_bones'
     (tmp_path / 'share/ament_index/resource_index/packages').mkdir(parents=True)
@@ -61,8 +60,7 @@ def test_a_package_uri_is_found_in_the_ament_index(mesh: Path, tmp_path: Path,
     assert load_model('package://some_bones/bone.stl', 'mm', 0.004).extent > 0.0
 
 
-def test_a_package_uri_is_found_without_ros(monkeypatch: pytest.MonkeyPatch,
-                                            tmp_path: Path) -> None:
+def test_finds_a_package_uri_without_ros(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, 'ament_index_python.packages', None)
     assert find_model('package://gsdf_registration/field/model.py') == Path(model.__file__)
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
@@ -73,6 +71,6 @@ def test_a_package_uri_is_found_without_ros(monkeypatch: pytest.MonkeyPatch,
 
 @pytest.mark.parametrize('uri', ['package://no_such_package_here/bone.stl', 'package://',
                                  'package://gsdf_registration/no.stl', 'package://../x'])
-def test_what_is_not_there_is_said(uri: str) -> None:
+def test_rejects_a_uri_without_a_file(uri: str) -> None:
     with pytest.raises(InputError, match='not installed or has no file'):
         find_model(uri)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-A field comes back from its file bit by bit, or a sentence says why not; the cache builds once.
-"""
+"""Test that a field survives saving and loading, and that the cache builds a field once."""
+
+from __future__ import annotations
 
 import json
 import pickle
@@ -38,7 +38,7 @@ def path(field, tmp_path):
 
 @pytest.fixture
 def builds(monkeypatch, tmp_path):
-    """The voxel sizes built so far, with a cache of our own."""
+    """Return the list of voxel sizes that were built, with an empty cache."""
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path / 'cache'))
     built = []
 
@@ -58,30 +58,26 @@ def assert_same(a, b):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
-def test_a_field_comes_back_as_it_was(field, path):
+def test_loads_the_field_that_was_saved(field, path):
     assert_same(load_field(path), field)
 
 
-def test_a_loaded_field_needs_no_other_kernels(field, path):
+def test_loaded_field_uses_the_same_kernels(field, path):
     assert numba.typeof(load_field(path).arrays) == numba.typeof(field.arrays)
 
 
-def test_saving_leaves_nothing_else_behind(path):
+def test_saving_leaves_no_temporary_files(path):
     assert [p.name for p in path.parent.iterdir()] == ['bone.gsdf']
 
 
-def test_what_was_repaired_is_kept(bone, field):
+def test_field_has_the_notes_of_the_bone(bone, field):
     assert field.notes == bone.notes and len(bone.notes) == 1
 
 
-def test_damage_anywhere_is_noticed(path):
+def test_rejects_a_file_with_a_changed_byte(path):
     good = path.read_bytes()
-    for at in [
-            *range(0, 1000, 7), *range(1000, len(good),
-                                       len(good) // 100),
-            len(good) - 4,
-            len(good) - 1
-    ]:
+    for at in [*range(0, 1000, 7), *range(1000, len(good), len(good) // 100), len(good) - 4,
+               len(good) - 1]:
         bad = bytearray(good)
         bad[at] ^= 0x10
         path.write_bytes(bad)
@@ -91,7 +87,7 @@ def test_damage_anywhere_is_noticed(path):
 
 
 @pytest.mark.parametrize('share', [0.0, 0.00001, 0.0001, 0.001, 0.5, 0.999])
-def test_a_file_cut_short_is_refused(path, share):
+def test_rejects_a_truncated_file(path, share):
     good = path.read_bytes()
     path.write_bytes(good[:int(share * len(good))])
     with pytest.raises(InputError):
@@ -101,21 +97,21 @@ def test_a_file_cut_short_is_refused(path, share):
 @pytest.mark.parametrize(
     'foreign',
     [b'ply\nformat ascii 1.0\n', pickle.dumps({'a': 1}), b'\0' * 4096])
-def test_a_foreign_file_is_refused(path, foreign):
+def test_rejects_a_file_of_another_format(path, foreign):
     path.write_bytes(foreign)
-    with pytest.raises(InputError, match='is not a gsdf field'):
+    with pytest.raises(InputError, match='is not a field file'):
         load_field(path)
 
 
-def test_a_newer_version_is_named(path):
+def test_rejects_another_format_version(path):
     header = json.dumps({'version': 7}).encode()
     data = MAGIC + struct.pack('<I', len(header)) + header
     path.write_bytes(data + struct.pack('<I', zlib.crc32(data)))
-    with pytest.raises(InputError, match='format 7'):
+    with pytest.raises(InputError, match='format version 7'):
         load_field(path)
 
 
-def test_no_file_and_no_folder_are_refused(field, tmp_path):
+def test_rejects_a_missing_file_and_a_directory(field, tmp_path):
     with pytest.raises(InputError, match='cannot be read'):
         load_field(tmp_path / 'none.gsdf')
     with pytest.raises(InputError, match='cannot be read'):
@@ -124,13 +120,13 @@ def test_no_file_and_no_folder_are_refused(field, tmp_path):
         save_field(field, tmp_path / 'none' / 'bone.gsdf')
 
 
-def test_the_second_run_does_not_build(bone, builds):
+def test_cache_builds_a_field_once(bone, builds):
     first, second = cached_field(bone, 0.002), cached_field(bone, 0.002)
     assert builds == [0.002]
     assert_same(first, second)
 
 
-def test_another_voxel_or_bone_is_built(bone, builds):
+def test_cache_builds_another_voxel_size_or_bone(bone, builds):
     cached_field(bone, 0.002)
     cached_field(bone, 0.004)
     cached_field(make_bone(bone.vertices * 1.01, bone.faces), 0.002)
@@ -138,7 +134,7 @@ def test_another_voxel_or_bone_is_built(bone, builds):
 
 
 @pytest.mark.parametrize('damage', [lambda b: b[:100], lambda b: b[:-9] + bytes(9), lambda b: b''])
-def test_a_damaged_cache_is_built_again(bone, builds, damage, caplog):
+def test_cache_rebuilds_a_damaged_file(bone, builds, damage, caplog):
     cached_field(bone, 0.002)
     file, = cache.cache_directory().iterdir()
     file.write_bytes(damage(file.read_bytes()))
@@ -147,15 +143,15 @@ def test_a_damaged_cache_is_built_again(bone, builds, damage, caplog):
     assert len(caplog.records) == 1
 
 
-def test_without_a_cache_the_field_is_still_built(bone, builds, monkeypatch, tmp_path, caplog):
+def test_builds_without_a_writable_cache(bone, builds, monkeypatch, tmp_path, caplog):
     (tmp_path / 'file').write_text('')
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path / 'file' / 'cache'))
     assert cached_field(bone, 0.002).bone_sha256 == bone.sha256
     assert builds == [0.002]
-    assert 'not kept' in caplog.text
+    assert 'could not be cached' in caplog.text
 
 
-def test_the_cache_is_where_xdg_says(monkeypatch, tmp_path):
+def test_cache_directory_follows_xdg(monkeypatch, tmp_path):
     monkeypatch.delenv('GSDF_CACHE_DIR', raising=False)
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     assert cache.cache_directory() == tmp_path / 'gsdf'

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Which triangles may be nearest to a node, and which one is.
+Find the triangle nearest to each node.
 
-A block gathers all triangles within reach, a group of its nodes chooses among them by their
-bounding balls, and the distances to the rest are taken in single precision, for one node in each
-lane of the vector unit: within a few millimetres they are good to a nanometre.
+`gather` finds the candidate triangles of a block, `narrow` those of a group of its nodes by their
+bounding spheres, and `measure` the nearest one in single precision, with one node per SIMD lane.
+Single precision is accurate to a nanometre within a few millimetres.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from gsdf_registration.common.numba_options import compiled, vectorized
 from gsdf_registration.field.sample import CELLS, NODES
 from gsdf_registration.field.triangles import closest, offset
 
-LANES = 16      # nodes of a group, at most
+LANES = 16      # maximum number of nodes in a group
 
 _f = np.float32
 
 
 def _groups() -> np.ndarray:
     """
-    Return (first i, j, k, one past the last).
+    Return the index ranges of the groups of nodes in a block: first i, j, k, one past the last.
 
-    The quarters of a block, then what is on its far sides.
+    The first groups are the quarters of the block, the others are the nodes on its far sides.
     """
     quarters = [(0, j, k, CELLS, j + 2, k + 2) for j in range(0, CELLS, 2)
                 for k in range(0, CELLS, 2)]
@@ -39,14 +39,14 @@ GROUPS = _groups()
 @compiled
 def gather(tree, centre, radius, candidate, ball, corner):
     """
-    Find all triangles that may lie within ``radius`` of ``centre`` and return their number.
+    Find all triangles that may be within ``radius`` of ``centre`` and return their number.
 
-    The triangle nearest to any point of a ball of radius R lies within dmin + 2 R of its centre,
-    where dmin is the distance of the centre to the surface.
+    The triangle nearest to any point of a sphere of radius R is within dmin + 2 R of its centre,
+    where dmin is the distance from the centre to the surface.
 
-    ``candidate`` (room,) int32, the triangles; ``ball`` (4, room) float32, centre and radius of
-    their bounding balls; ``corner`` (room, 3) float32, corner a in the axes of the triangle; all
-    from ``centre``.
+    The outputs are ``candidate`` (capacity,) int32, the triangles, ``ball`` (4, capacity) float32,
+    centre and radius of their bounding spheres, and ``corner`` (capacity, 3) float32, corner a in
+    the axes of the triangle. All positions are relative to ``centre``.
     """
     box, start, triangle = tree.box, tree.start, tree.triangle
     tree_ball, axes = tree.ball, tree.axes
@@ -88,11 +88,12 @@ def gather(tree, centre, radius, candidate, ball, corner):
 @compiled
 def narrow(triangle, candidate, ball, n, centre, voxel, g, bound, chosen):
     """
-    Choose the candidates that may be nearest to a node of group ``g`` and return their number.
+    Select the candidates that may be nearest to a node of group ``g`` and return their number.
 
-    Take a point q of the surface near the group.  A triangle in a ball (m, r) is farther from x
-    than q if |x - m| - r > |x - q|, that is |x - m|^2 - |x - q|^2 > 2 r |x - q| + r^2, and there
-    the left side is linear in x, so it is least at a corner of the group.
+    Let q be a point of the surface near the group. A triangle in a bounding sphere (m, r) is
+    farther from x than q if |x - m| - r > |x - q|, that is, if
+    |x - m|^2 - |x - q|^2 > 2 r |x - q| + r^2. The left side is linear in x, so its minimum is at a
+    corner of the group.
     """
     half = np.empty(3, np.float32)
     middle = np.empty(3, np.float32)
@@ -111,7 +112,7 @@ def narrow(triangle, candidate, ball, n, centre, voxel, g, bound, chosen):
     _margins(ball, n, middle[0], middle[1], middle[2], _f(-x), _f(-y), _f(-z), half[0], half[1],
              half[2], bound)
     m = 0
-    for c in range(n):      # written every time, counted if it fits: no branch to mispredict
+    for c in range(n):      # written always, counted if selected: avoids a branch
         chosen[m] = c
         m += bound[c] <= 0.0
     return m
@@ -119,7 +120,7 @@ def narrow(triangle, candidate, ball, n, centre, voxel, g, bound, chosen):
 
 @vectorized
 def _distances2(ball, n, x, y, z, bound):
-    """Fill ``bound`` (n,) with the squared distances of (x, y, z) to the centres of the balls."""
+    """Fill ``bound`` (n,) with the squared distances from (x, y, z) to the centres of ``ball``."""
     for c in range(n):
         bound[c] = (ball[0, c] - x) ** 2 + (ball[1, c] - y) ** 2 + (ball[2, c] - z) ** 2
 
@@ -127,9 +128,9 @@ def _distances2(ball, n, x, y, z, bound):
 @vectorized
 def _margins(ball, n, x, y, z, qx, qy, qz, hx, hy, hz, bound):
     """
-    Fill ``bound`` (n,) with what is above zero if a ball is out of the question, see `narrow`.
+    Fill ``bound`` (n,) with a value that is positive if a ball can be excluded, see `narrow`.
 
-    The box reaches ``h`` to either side of (x, y, z), and ``q`` is taken from there.
+    The group is a box with centre (x, y, z) and half widths ``h``; ``q`` is relative to the centre.
     """
     two = _f(2.0)
     q2 = qx * qx + qy * qy + qz * qz
@@ -149,10 +150,12 @@ def measure(axes, candidate, corner, chosen, m, lanes, best):
     """
     Find the triangle nearest to the point in each lane.
 
-    In the axes of a triangle its corners are (0, 0), (b, 0) and (p, q), and the distance is that in
-    the plane, to the nearest edge or zero inside, and the height above it.
+    In the axes of a triangle, its corners are (0, 0), (b, 0) and (p, q). The squared distance is
+    the sum of the squared height above the plane and the squared distance in the plane, which is
+    that to the nearest edge, or zero inside.
 
-    ``lanes`` (4 LANES,) float32: x, y, z and room for the distances; ``best`` (LANES,) is filled.
+    ``lanes`` (4 LANES,) float32 contains x, y, z and space for the squared distances; ``best``
+    (LANES,) is the output.
     """
     zero, one = _f(0.0), _f(1.0)
     lanes[3 * LANES:] = np.inf

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The blend of a cell in vector registers: two nodes of four components an instruction.
+Trilinear interpolation of a cell with SIMD instructions, two nodes of four components each.
 
-Left alone the compiler takes the components one by one, which makes a sample half as slow again.
+Written in plain Python, the compiler processes the components one by one, which takes 1.5 times as
+long per sample.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ _EDGE = ir.VectorType(ir.FloatType(), 8)
 
 def _blend_nodes(_, nodes, at, stride_x, stride_y, u, v, w):
     """
-    Blend the eight nodes of the cell with first node row ``at`` at (u, v, w) in [0, 1]^3.
+    Interpolate the eight nodes of a cell at (u, v, w) in [0, 1]^3.
 
-    Returns (d, gx, gy, gz) blended trilinearly, then by how much gx changes across the cell along
-    x, gy along y and gz along z: seven float32.
-    nodes : (m, 4) float32, C order, a node's neighbour along z being the next row
-    stride_x, stride_y : uint64, rows to the neighbours along x and y
+    Returns seven float32: the interpolated (d, gx, gy, gz), and the differences across the cell of
+    gx along x, gy along y and gz along z.
+
+    nodes : (m, 4) float32, C order; the neighbour along z of a node is the next row
+    at : uint64, row of the first node of the cell
+    stride_x, stride_y : uint64, number of rows to the neighbours along x and y
     u, v, w : float32
     """
     number, index = types.float32, types.uint64
@@ -46,12 +49,12 @@ def _blend_nodes(_, nodes, at, stride_x, stride_y, u, v, w):
             which = ir.Constant(ir.VectorType(_LANE, len(which)), which)
             return b.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), which)
 
-        def spread(number, kind):
+        def broadcast(number, kind):
             vector = b.insert_element(ir.Constant(kind, ir.Undefined), number, _LANE(0))
             return lanes(vector, [0] * kind.count)
 
         def across(low, high, share):
-            """Return the blend of two sides, and how much they differ."""
+            """Return the interpolation between two sides, and their difference."""
             change = b.fsub(high, low)
             fused = ('contract',)
             return b.fadd(low, b.fmul(share, change, flags=fused), flags=fused), change
@@ -59,7 +62,7 @@ def _blend_nodes(_, nodes, at, stride_x, stride_y, u, v, w):
         def along_z(edge):
             return across(lanes(edge, [0, 1, 2, 3]), lanes(edge, [4, 5, 6, 7]), w)
 
-        u, v, w = spread(u, _EDGE), spread(v, _EDGE), spread(w, _NODE)
+        u, v, w = broadcast(u, _EDGE), broadcast(v, _EDGE), broadcast(w, _NODE)
         beyond = b.add(at, stride_x)
         low, low_y = across(edge(at), edge(b.add(at, stride_y)), v)
         high, high_y = across(edge(beyond), edge(b.add(beyond, stride_y)), v)
