@@ -168,7 +168,7 @@ def guidance_msg(touches: Sequence[NextTouch], sentence: str, bone_frame_id: str
                              points=[_point(touch.position) for touch in touches],
                              normals=[_vector(touch.normal) for touch in touches],
                              predicted_tre=[_number(touch.predicted_tre) for touch in touches],
-                             present_tre=_number(touches[0].current_tre if touches else None))
+                             current_tre=_number(touches[0].current_tre if touches else None))
 
 
 def _types() -> Any:

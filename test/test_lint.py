@@ -23,7 +23,7 @@ def test_lint(command: list[str]) -> None:
 
 def test_every_source_file_names_its_licence() -> None:
     folders = ('gsdf_registration', 'msg_adapters', 'test', 'launch', 'benchmarks', 'docs',
-               'examples')
+               'examples', 'tools')
     files = [file for folder in folders for file in (ROOT / folder).rglob('*.py')]
     bare = [str(file.relative_to(ROOT)) for file in files
             if not file.read_text().startswith('# SPDX-License-Identifier: Apache-2.0\n')]

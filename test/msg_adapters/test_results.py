@@ -138,9 +138,9 @@ def test_guidance_lists_places_with_the_error_after_each_touch():
     assert [position_of(point) for point in message.points] == [[0.1, 0.2, 0.3], [0.0, 0.1, 0.2]]
     assert [position_of(normal) for normal in message.normals] == [[0, 0, 1], [1, 0, 0]]
     assert message.predicted_tre[0] == 1e-3 and math.isnan(message.predicted_tre[1])
-    assert message.present_tre == 2e-3
+    assert message.current_tre == 2e-3
 
 
 def test_guidance_without_a_place_is_empty():
     message = sent(results.guidance_msg([], 'register', 'hip', header().stamp))
-    assert message.points == [] and math.isnan(message.present_tre)
+    assert message.points == [] and math.isnan(message.current_tre)
