@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Pull rough poses of a few points in, many at a time: the compiled half of the global search.
+Robust Gauss-Newton steps for many poses of a few points: the kernels of the global search.
 
-A pose is judged by the first-order model of the one nearest node of the gradient-SDF (Sommer et
-al., CVPR 2022): a single fetch, no branches and single precision, so that the compiler turns the
-loop over the points into vector instructions.  It errs by some hundredths of a millimetre near the
-surface, which is nothing to a search.
+The distance of a point comes from the first-order model of the single nearest node of the
+gradient-SDF (Sommer et al., CVPR 2022): one fetch, no branches and single precision, so that the
+compiler vectorizes the loop over the points.  Its error near the surface is a few hundredths of a
+millimetre, which is negligible for a search.
 """
 
 from __future__ import annotations
@@ -16,29 +16,30 @@ from gsdf_registration.common.numba_options import kernel, reordered
 from gsdf_registration.field.sample import CELLS, NODES
 from gsdf_registration.solver.gauss_newton import solve_cholesky, step_lengths, update
 
-LARGEST_TURN, LARGEST_SHIFT = 0.5, 0.1      # rad and m, of a step
+MAX_ROTATION, MAX_TRANSLATION = 0.5, 0.1    # rad and m, of a step
 
 _f = np.float32
 _i = np.int32
-_v = np.uint32     # unsigned indices spare the check for negative ones
+_v = np.uint32     # unsigned indices need no check for negative values
 _u = np.uint64
 
 
 @kernel
-def glance(field, points, rotations, places, scale, cost):
+def start_costs(field, points, rotations, places, scale, cost):
     """
-    Fill ``cost`` (m * p,) of all m rotations at all p places, after one wide step on few points.
+    Fill ``cost`` (m * p,) for all m rotations at all p positions, after one Gauss-Newton step each.
 
     points : (3, n) float32, m, about their centroid
-    rotations, places : (m, 3, 3) and (p, 3) float64, the centroid in the bone frame, m
-    scale : m, at which a residual's weight has fallen to a quarter
+    rotations : (m, 3, 3) float64
+    places : (p, 3) float64, m, positions of the centroid in the bone frame
+    scale : m, residual at which the weight has fallen to a quarter
     """
     R, t = np.empty((3, 3)), np.empty(3)
     A, b, dx = np.empty((6, 6)), np.empty(6), np.empty(6)
     c2 = _f(scale * scale)
     for i in range(len(rotations)):
         for j in range(len(places)):
-            for a in range(3):      # slices would triple the time to compile
+            for a in range(3):      # slices would triple the compile time
                 t[a] = places[j, a]
                 for k in range(3):
                     R[a, k] = rotations[i, a, k]
@@ -48,18 +49,18 @@ def glance(field, points, rotations, places, scale, cost):
 
 
 @kernel
-def descend(field, fine, points, R, t, scales, cost):
+def gauss_newton_steps(field, fine, points, R, t, scales, cost):
     """
-    Change poses R (m, 3, 3), t (m, 3) by a Gauss-Newton step a scale; then fill ``cost`` (m,).
+    Take one Gauss-Newton step per scale from poses R (m, 3, 3), t (m, 3); fill ``cost`` (m,).
 
-    It is the mean of Geman and McClure's e^2 / (e^2 + c^2), c the last scale, which levels off at
-    one: a far point counts once, not by its distance.
+    Poses are updated in place. The cost is the mean of e^2 / (e^2 + c^2) (Geman and McClure) with
+    the last scale c: far points count at most one, regardless of their distance.
     """
     A, b, dx = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     for q in range(len(R)):
         for s in range(len(scales)):
             c2 = _f(scales[s] * scales[s])
-            if fine:    # one call each: a constant argument makes two loops without a branch
+            if fine:    # separate calls: a constant argument gives loops without a branch
                 _normal_equations(field, True, points, R[q], t[q], c2, A, b)
             else:
                 _normal_equations(field, False, points, R[q], t[q], c2, A, b)
@@ -73,25 +74,25 @@ def descend(field, fine, points, R, t, scales, cost):
 
 @kernel
 def _step(A, b, dx, R, t):
-    """Take the step of the normal equations; tell whether the points hold the pose."""
+    """Take the step of the normal equations; return False if the points do not constrain it."""
     for i in range(6):
-        A[i, i] *= 1.001    # so that a patch of a sphere slides no farther than it must
+        A[i, i] *= 1.001    # limits sliding of points on a sphere
     if not solve_cholesky(A, b, dx):
         return False
-    turn, shift = step_lengths(dx)
-    long = max(turn / LARGEST_TURN, shift / LARGEST_SHIFT)
-    if long > 1.0:
-        dx /= long
+    rotation, translation = step_lengths(dx)
+    excess = max(rotation / MAX_ROTATION, translation / MAX_TRANSLATION)
+    if excess > 1.0:
+        dx /= excess
     update(R, t, dx)
     return True
 
 
 @reordered
 def _nearest(field, fine, x, y, z):
-    """Return (distance, gx, gy, gz) at (x, y, z), float32, m from the corner of the box."""
+    """Return (distance, gx, gy, gz) at (x, y, z), float32, m from the origin of the grid."""
     voxel, zero, half = _f(field.voxel), _f(0.0), _f(0.5)
     bx, by, bz = field.block_of.shape
-    # in coarse steps, inside the box; beyond it the plane of the nearest node goes on
+    # in coarse cells, clamped to the grid; outside, the plane of the nearest node is extrapolated
     u, v, w = x * _f(1.0 / CELLS) / voxel, y * _f(1.0 / CELLS) / voxel, z * _f(1.0 / CELLS) / voxel
     cu, cv, cw = min(max(u, zero), _f(bx)), min(max(v, zero), _f(by)), min(max(w, zero), _f(bz))
     i, j, k = _i(cu + half), _i(cv + half), _i(cw + half)
@@ -118,14 +119,14 @@ def _nearest(field, fine, x, y, z):
 
 @reordered
 def _normal_equations(field, fine, points, R, t, c2, A, b):
-    """Fill A (lower triangle) and b (equations 5, 6), Geman-McClure weights of scale^2 ``c2``."""
+    """Fill A (lower triangle) and b (equations 5, 6) with Geman-McClure weights, scale^2 ``c2``."""
     r00, r01, r02 = _f(R[0, 0]), _f(R[0, 1]), _f(R[0, 2])
     r10, r11, r12 = _f(R[1, 0]), _f(R[1, 1]), _f(R[1, 2])
     r20, r21, r22 = _f(R[2, 0]), _f(R[2, 1]), _f(R[2, 2])
     ox, oy, oz = (_f(t[0] - field.origin[0]), _f(t[1] - field.origin[1]),
                   _f(t[2] - field.origin[2]))
     zero = _f(0.0)
-    # sums in names of their own: the compiler keeps them in registers
+    # scalar sums, which the compiler keeps in registers
     a00 = a10 = a11 = a20 = a21 = a22 = a30 = a31 = a32 = a33 = a40 = a41 = a42 = a43 = a44 = zero
     a50 = a51 = a52 = a53 = a54 = a55 = b0 = b1 = b2 = b3 = b4 = b5 = zero
     for k in range(points.shape[1]):
@@ -174,7 +175,7 @@ def _normal_equations(field, fine, points, R, t, c2, A, b):
 
 @reordered
 def _cost(field, fine, points, R, t, c2):
-    """Return the mean cost of the points; see `descend`."""
+    """Return the mean cost of the points; see `gauss_newton_steps`."""
     r00, r01, r02 = _f(R[0, 0]), _f(R[0, 1]), _f(R[0, 2])
     r10, r11, r12 = _f(R[1, 0]), _f(R[1, 1]), _f(R[1, 2])
     r20, r21, r22 = _f(R[2, 0]), _f(R[2, 1]), _f(R[2, 2])

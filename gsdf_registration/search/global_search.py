@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The pose with no first guess, and the other poses that fit nearly as well.
+Find the pose without an initial pose, and other poses that fit nearly as well.
 
-Many starts, each pulled in by a few Gauss-Newton steps of ever narrower robust weights, on few
-points and the coarse nodes of the field at first; only the best go on to more points and the fine
-nodes.  All points are tried, and parts of them alone: other things that were touched would carry
-the rest away, but some part is free of them.
+The search starts from many poses and refines each by a few Gauss-Newton steps with increasingly
+narrow robust weights, at first with few points and the coarse nodes of the field. Only the best
+poses proceed to more points and the fine nodes.  It runs for all points and for subsets of them:
+other objects that were touched could pull the pose away, but some subset is free of them.
 """
 
 from __future__ import annotations
@@ -29,28 +29,35 @@ from gsdf_registration.common.point_filters import RADIUS
 from gsdf_registration.common.result import Cancelled
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.search.descent import descend, glance
+from gsdf_registration.search.descent import gauss_newton_steps, start_costs
 from gsdf_registration.search.point_subsets import filter_sparse, local_subsets
-from gsdf_registration.search.start_poses import Poses, around, distinct, super_fibonacci
+from gsdf_registration.search.start_poses import (
+    Poses,
+    distinct,
+    rotated_starts,
+    super_fibonacci,
+)
 
-CAPTURE_RANGE = 0.02        # m: a start pose within this distance converges to the pose
-# m: of the points in a voxel one is used; poses that move the points less than this are one pose
+# m: starts within this distance converge to the pose; about the distance between neighbouring starts
+CAPTURE_RANGE = 0.02
+# m: one point per voxel is used, and poses that move the points by less are the same pose; above
+# the noise of a tracker, below the size of the features of a bone
 VOXEL = 0.002
-START_POSES = 6     # returned: of the best fits at this accuracy one is the pose, as a rule
-GLANCE = 16         # points of the first look at a start
-SEEN = 4000         # starts that pass it
-CHUNK = 64          # candidates a task: small enough to share evenly and to stop soon
+START_POSES = 6         # returned; one of the best few nearly always leads to the pose
+START_POINTS = 16       # points by which the starts are ranked
+RANKED_STARTS = 4000    # best starts that are refined
+CHUNK = 64              # candidates per task: small enough to balance the load and to cancel soon
 
 
 class Stage(NamedTuple):
     """
-    One sieve.
+    One stage of the search.
 
-    points : looked at
-    scales : of the weights, one a step, shares of the reach
+    points : number used
+    scales : of the weights, one per step, relative to the capture range
     fine : whether the fine nodes are used
-    survivors : how many pass
-    done : share of the whole work behind it
+    survivors : maximum number of poses that proceed
+    done : share of the whole work done after it
     """
 
     points: int
@@ -61,33 +68,33 @@ class Stage(NamedTuple):
 
 
 FIRST = Stage(40, (1.0, 0.75, 0.5, 0.35, 0.25), False, 400, 0.85)
-# The last scale ranks the poses. It is narrow: at a wide one a pose that fits all points a little,
-# whatever else was touched among them, would beat the one that fits those on the bone exactly.
+# The last scale ranks the poses. It is narrow: with a wide scale, a pose that fits all points
+# moderately, including interference, would rank above the pose that fits those on the bone exactly.
 STAGES = (Stage(100, (0.3, 0.25, 0.2, 0.15, 0.1, 0.075), False, 600, 0.95),
           Stage(150, (0.15, 0.1, 0.1, 0.05), True, 100, 0.98),
           Stage(400, (0.1, 0.075, 0.05, 0.05), True, 20, 1.0))
 
 
 def find_start_poses(points: Array,
-                field: Field,
-                config: SearchConfig,
-                T_bone_tracker: Array | None = None,
-                cancelled: Callable[[], bool] | None = None,
-                progress: Callable[[float], None] | None = None,
-                count: int = START_POSES) -> Array:
+                     field: Field,
+                     config: SearchConfig,
+                     T_bone_tracker: Array | None = None,
+                     cancelled: Callable[[], bool] | None = None,
+                     progress: Callable[[float], None] | None = None,
+                     count: int = START_POSES) -> Array:
     """
-    Return the distinct poses that fit, best first.
+    Return distinct poses that fit the points, best first.
 
-    A rigid motion of the points moves the answer with it; their order does not matter.
+    The result moves with the points and does not depend on their order.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, tracker frame, on strokes
     field : of the bone
     config : SearchConfig
-    T_bone_tracker : (4, 4) float, a first guess to look around; None: everywhere
+    T_bone_tracker : (4, 4) float, initial pose to search around; None: search everywhere
     cancelled, progress : as in `register`
-    count : int, how many poses at most
+    count : int, maximum number of poses
 
     Returns
     -------
@@ -100,83 +107,81 @@ def find_start_poses(points: Array,
     """
     chosen = voxel_downsample(points, VOXEL)
     dense = filter_sparse(points, chosen, RADIUS)
-    T_own_tracker = principal_frame(points[chosen])
-    points = rigid.transform(T_own_tracker, points[chosen])
+    T_principal_tracker = principal_frame(points[chosen])
+    points = rigid.transform(T_principal_tracker, points[chosen])
     core, points = points[dense], points[farthest_point_sample(points, STAGES[-1].points)]
     with ThreadPoolExecutor(config.threads or os.cpu_count() or 1) as pool:
         work = _Work(pool, cancelled, progress)
         if T_bone_tracker is None:
             poses = _from_anywhere(work, core, field, config)
         else:
-            # as they are, in case much else was touched, and drawn from afar
-            near = around(T_bone_tracker @ rigid.inverse(T_own_tracker))
-            poses = Poses.joined([near, _sieve(work, FIRST, core, field, config, near)])
+            # unrefined, in case there is much interference, and refined from farther away
+            starts = rotated_starts(T_bone_tracker @ rigid.inverse(T_principal_tracker))
+            poses = Poses.concatenated([starts, _run_stage(work, FIRST, core, field, starts)])
         for stage in STAGES:
-            poses = _sieve(work, stage, points, field, config, poses)
-    return np.array([rigid.from_rt(R, t) @ T_own_tracker
+            poses = _run_stage(work, stage, points, field, poses)
+    return np.array([rigid.from_rt(R, t) @ T_principal_tracker
                      for R, t in zip(poses.R[:count], poses.t[:count])])
 
 
 def _from_anywhere(work: _Work, points: Array, field: Field, config: SearchConfig) -> Poses:
-    """Return what passes the first sieve with all points (n, 3) and with each part of them."""
+    """Return the survivors of the first stage for all points (n, 3) and for each subset."""
     surface = field.surface_points.astype(np.float64)
     places = surface[farthest_point_sample(surface, config.places)]
     rotations = super_fibonacci(config.rotations)
-    return Poses.joined(
-        work((work.pool.submit(_first_sieve, part, field, config, rotations, places)
-              for part in local_subsets(points, config.parts)), FIRST.done))
+    return Poses.concatenated(
+        work((work.pool.submit(_first_stage, subset, field, rotations, places)
+              for subset in local_subsets(points, config.parts)), FIRST.done))
 
 
-def _first_sieve(points: Array, field: Field, config: SearchConfig, rotations: Array,
-                 places: Array) -> Poses:
-    """Return what passes of every rotation at every place, the points' centroid put there."""
-    centre = points.mean(axis=0)
-    points = points - centre
+def _first_stage(points: Array, field: Field, rotations: Array, places: Array) -> Poses:
+    """Return the survivors of all rotations with the centroid of the points at all places."""
+    centroid = points.mean(axis=0)
+    points = points - centroid
     cost = np.empty(len(rotations) * len(places))
-    glance(field.arrays, _columns(points, GLANCE), rotations, places, CAPTURE_RANGE, cost)
-    seen = np.argsort(cost, kind='stable')[:SEEN]
-    poses, cost = Poses(rotations[seen // len(places)], places[seen % len(places)]), cost[seen]
-    _descend(FIRST, points, field, config, poses, cost)
-    return _best(FIRST, points, config, poses, cost).about(-centre)
+    start_costs(field.arrays, _columns(points, START_POINTS), rotations, places, CAPTURE_RANGE,
+                cost)
+    best = np.argsort(cost, kind='stable')[:RANKED_STARTS]
+    poses, cost = Poses(rotations[best // len(places)], places[best % len(places)]), cost[best]
+    _refine(FIRST, points, field, poses, cost)
+    return _survivors(FIRST, points, poses, cost).with_origin(-centroid)
 
 
-def _sieve(work: _Work, stage: Stage, points: Array, field: Field, config: SearchConfig,
-           poses: Poses) -> Poses:
-    """Return what passes a stage, best first."""
+def _run_stage(work: _Work, stage: Stage, points: Array, field: Field, poses: Poses) -> Poses:
+    """Return the survivors of a stage, best first."""
     R, t, cost = poses.R.copy(), poses.t.copy(), np.empty(len(poses.R))
     chunks = [slice(k, k + CHUNK) for k in range(0, len(cost), CHUNK)]
-    work((work.pool.submit(_descend, stage, points, field, config, Poses(R[k], t[k]), cost[k])
+    work((work.pool.submit(_refine, stage, points, field, Poses(R[k], t[k]), cost[k])
           for k in chunks), stage.done)
-    return _best(stage, points, config, Poses(R, t), cost)
+    return _survivors(stage, points, Poses(R, t), cost)
 
 
-def _descend(stage: Stage, points: Array, field: Field, config: SearchConfig, poses: Poses,
-             cost: Array) -> None:
-    """Pull poses in and fill their cost, in place."""
-    descend(field.arrays, stage.fine, _columns(points, stage.points), poses.R, poses.t,
-            CAPTURE_RANGE * np.array(stage.scales), cost)
+def _refine(stage: Stage, points: Array, field: Field, poses: Poses, cost: Array) -> None:
+    """Refine poses and fill their cost, in place."""
+    gauss_newton_steps(field.arrays, stage.fine, _columns(points, stage.points), poses.R, poses.t,
+                       CAPTURE_RANGE * np.array(stage.scales), cost)
 
 
-def _best(stage: Stage, points: Array, config: SearchConfig, poses: Poses, cost: Array) -> Poses:
-    """Return the distinct best, best first."""
-    ranked = poses.pick(np.argsort(cost, kind='stable'))
-    return ranked.pick(distinct(*ranked, points, VOXEL, stage.survivors))
+def _survivors(stage: Stage, points: Array, poses: Poses, cost: Array) -> Poses:
+    """Return the best distinct poses, best first."""
+    ranked = poses.select(np.argsort(cost, kind='stable'))
+    return ranked.select(distinct(*ranked, points, VOXEL, stage.survivors))
 
 
 def _columns(points: Array, count: int) -> NDArray[np.float32]:
-    """Return some of the points (n, 3), spread over them, as the kernels take them (3, m)."""
+    """Return at most ``count`` of the points (n, 3) in the layout of the kernels, (3, m)."""
     return np.ascontiguousarray(points[farthest_point_sample(points, count)].T, dtype=np.float32)
 
 
 class _Work:
-    """Waits for tasks on all cores; each stands for itself, so threads cannot change the answer."""
+    """Run independent tasks on all threads; the number of threads does not change the result."""
 
     def __init__(self, pool: ThreadPoolExecutor, cancelled: Callable[[], bool] | None,
                  progress: Callable[[float], None] | None) -> None:
         self.pool, self.cancelled, self.progress, self.done = pool, cancelled, progress, 0.0
 
     def __call__(self, tasks: Iterable[Future], done: float) -> list:
-        """Return the results of tasks, after which this share of the whole work is done."""
+        """Return the results of tasks, after which the share ``done`` of all work is done."""
         tasks = list(tasks)
         step = (done - self.done) / len(tasks)
         results = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last step: noise on a curved bone, and noise that differs from axis to axis."""
+"""Bias correction on a curved bone, and weights for anisotropic noise."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def solved(sigma: Array | float, seed: int = 0, n: int = 1000) -> tuple[Solution
     return solve(points, bone_field(), T_BONE_TRACKER, CONFIG), points
 
 
-def settled(solution: Solution) -> Array:
-    """Return T_bone_tracker before the last step."""
-    return np.asarray(rigid.inverse(solution.step) @ solution.T_bone_tracker)
+def uncorrected(solution: Solution) -> Array:
+    """Return T_bone_tracker before the correction."""
+    return np.asarray(rigid.inverse(solution.correction) @ solution.T_bone_tracker)
 
 
-def test_residuals_are_less_what_noise_makes_of_the_distance() -> None:
-    """Against the mean distance of 4000 noisy points about the nearest of the surface."""
+def test_residuals_have_the_expected_bias_removed() -> None:
+    """Compare with the mean distance of 4000 noisy points around the nearest surface point."""
     solution, points = solved(1e-3)
     assert solution.estimates is not None
     x = rigid.transform(solution.T_bone_tracker, points)
@@ -42,21 +42,21 @@ def test_residuals_are_less_what_noise_makes_of_the_distance() -> None:
         assert distance[k] - solution.residuals[k] == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_pose_is_not_drawn_outward_by_noise_on_a_curved_bone() -> None:
-    """Mean over 40 registrations of a head of 12 mm radius, noise 0.8 mm, a cap of it touched."""
+def test_removes_the_outward_bias_of_the_pose_on_a_curved_bone() -> None:
+    """Mean over 40 registrations of a head of 12 mm radius, a cap of it touched, noise 0.8 mm."""
     mesh = ball_mesh(np.array([0.012, 0.013, 0.014]))
     field = field_of(mesh)
     before, after = np.zeros(3), np.zeros(3)
     for seed in range(40):
         solution = solve(touched(600, seed, 8e-4, 0.014, mesh), field, np.eye(4), CONFIG)
-        before += settled(solution)[:3, 3] / 40.0
+        before += uncorrected(solution)[:3, 3] / 40.0
         after += solution.T_bone_tracker[:3, 3] / 40.0
-    # the noise's variance over the radius is 53 um; touched on its +x side, it moves that way
+    # variance over radius is 53 um; the bias points to the side touched, +x
     assert before[0] < -4e-5
     assert abs(after[0]) < 0.4 * abs(before[0])
 
 
-def test_points_are_weighed_by_the_noise_along_their_normals() -> None:
+def test_precision_is_the_inverse_of_the_noise_along_the_normal() -> None:
     sigma = np.array([2e-4, 2e-4, 8e-4])
     solution, points = solved(sigma)
     _, normal = bone_field().sample(rigid.transform(solution.T_bone_tracker, points))
@@ -67,29 +67,29 @@ def test_points_are_weighed_by_the_noise_along_their_normals() -> None:
     assert solution.precision.max() > 2.0 * solution.precision.min()
 
 
-def test_even_noise_leaves_the_weights_nearly_even() -> None:
+def test_isotropic_noise_gives_nearly_equal_precision() -> None:
     solution, _ = solved(5e-4)
     assert np.abs(solution.precision - 1.0).max() < 0.15
 
 
-def test_uneven_noise_harms_less_than_if_it_were_thought_even() -> None:
+def test_anisotropic_weights_reduce_the_error() -> None:
     sigma = np.array([2e-4, 2e-4, 8e-4])
-    off = np.zeros(2)
+    error = np.zeros(2)
     for seed in range(30):
         solution, points = solved(sigma, seed)
-        for i, T in enumerate((settled(solution), solution.T_bone_tracker)):
-            off[i] += ((rigid.transform(T @ T_TRACKER_BONE, bone_field().surface_points)
+        for i, T in enumerate((uncorrected(solution), solution.T_bone_tracker)):
+            error[i] += ((rigid.transform(T @ T_TRACKER_BONE, bone_field().surface_points)
                         - bone_field().surface_points)**2).sum(axis=1).mean()
-    assert off[1] < 0.92 * off[0]
+    assert error[1] < 0.92 * error[0]
 
 
-def test_a_plane_gives_no_step() -> None:
+def test_takes_no_step_on_a_plane() -> None:
     n = 50
     points = np.random.default_rng(0).uniform(-0.01, 0.01, (n, 3))
     R, t = np.eye(3), np.zeros(3)
     J = np.zeros((n, 6))
     J[:, 5] = 1.0
-    # weight 0 keeps the rows as they are here, so that they stay those of a plane
+    # with weight 0, the rows of J are left as they are
     assert not bias_correction(bone_field().arrays, points, R, t, np.zeros(n), 1e-4, np.ones(n), J,
                          np.ones(n))
     assert (np.eye(3) == R).all() and (t == 0.0).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One Gauss-Newton step against finite differences, numpy and scipy."""
+"""Gauss-Newton kernels, compared with finite differences, numpy and scipy."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from smooth_bone import bone_field, touched
 from gsdf_registration.common import rigid
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field.sample import FieldArrays
-from gsdf_registration.solver.centroid_frame import about_centroid, pose_about
+from gsdf_registration.solver.centroid_frame import from_centroid_frame, to_centroid_frame
 from gsdf_registration.solver.gauss_newton import (
     linearize,
     normal_equations,
     solve_cholesky,
-    step_of,
+    step_lengths,
     update,
 )
 
@@ -27,7 +27,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def paraboloid() -> FieldArrays:
-    """Return fine nodes all over a box, filled with a quadratic that the samples hold exactly."""
+    """Return fine nodes filling a box, with a quadratic that the samples reproduce exactly."""
     voxel, blocks = 0.01, 5
     origin = np.full(3, -0.1)
     corner = np.stack(np.indices((blocks,) * 3), axis=-1).reshape(-1, 3) * 4
@@ -80,21 +80,21 @@ def test_jacobian_is_the_derivative_of_the_residual_along_update(seed: int) -> N
     R, t = pose_of(seed)
     _, J = linearized(field, points, R, t)
     numeric = derivative(field, points, R, t, 1e-3)
-    # the field gives the gradient its unit length: the same direction, not the same length
+    # the field normalizes the gradient: the direction is the same, the length is not
     norm = np.linalg.norm(numeric[:, 3:], axis=1, keepdims=True)
     np.testing.assert_allclose(J, numeric / norm, atol=2e-4)
 
 
 @given(seeds)
 @LAW
-def test_jacobian_on_a_bone_is_the_derivative_too(seed: int) -> None:
+def test_jacobian_is_the_derivative_on_a_bone(seed: int) -> None:
     points = touched(200, seed % 20)
     centre = points.mean(axis=0)
     R, _ = pose_of(seed, 0.01)
     points, t = points - centre, centre.copy()
     _, J = linearized(bone_field().arrays, points, R, t)
     numeric = derivative(bone_field().arrays, points, R, t, 1e-5)
-    # lever arms are 0.04 m; a surface of triangles and voxels of 1 mm leave a few % at some points
+    # lever arms are 0.04 m; triangles and voxels of 1 mm leave errors of a few % at some points
     error = np.abs(J - numeric) / np.array([0.04] * 3 + [1.0] * 3)
     assert np.median(error) < 5e-3
     assert np.percentile(error, 99) < 0.1
@@ -102,49 +102,49 @@ def test_jacobian_on_a_bone_is_the_derivative_too(seed: int) -> None:
 
 @given(seeds)
 @LAW
-def test_update_is_the_exponential_and_leaves_a_rotation(seed: int) -> None:
+def test_update_is_the_matrix_exponential(seed: int) -> None:
     R, t = pose_of(seed)
     dx = np.random.default_rng(seed).normal(size=6)
     R_new, t_new = moved(R, t, dx)
     np.testing.assert_allclose(R_new, expm(rigid.skew(dx[:3])) @ R, atol=1e-12)
     np.testing.assert_allclose(t_new, t + dx[3:], atol=1e-15)
-    assert step_of(dx) == pytest.approx((np.linalg.norm(dx[:3]), np.linalg.norm(dx[3:])))
+    assert step_lengths(dx) == pytest.approx((np.linalg.norm(dx[:3]), np.linalg.norm(dx[3:])))
 
 
 @given(seeds)
 @LAW
-def test_a_pose_about_the_centroid_is_the_same_pose(seed: int) -> None:
+def test_centroid_frame_represents_the_same_pose(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(20, 3)) + rng.normal(size=3)
     T = rigid.exp(rng.normal(size=6))
-    worn = T.copy()
-    worn[:3, :3] += 1e-6 * rng.normal(size=(3, 3))     # as a guess may be
-    centred, centre, R, t = np.empty((20, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
-    about_centroid(points, worn, centred, centre, R, t)
+    inaccurate = T.copy()
+    inaccurate[:3, :3] += 1e-6 * rng.normal(size=(3, 3))     # as an initial pose may be
+    centred, centroid, R, t = np.empty((20, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
+    to_centroid_frame(points, inaccurate, centred, centroid, R, t)
     np.testing.assert_allclose(centred @ R.T + t, rigid.transform(T, points), atol=1e-4)
     np.testing.assert_allclose(centred.mean(axis=0), 0.0, atol=1e-14)
     back = np.empty((4, 4))
-    pose_about(centre, R, t, back)
+    from_centroid_frame(centroid, R, t, back)
     assert rigid.is_rigid(back, 1e-14)
     np.testing.assert_allclose(rigid.transform(back, points), centred @ R.T + t, atol=1e-11)
-    np.testing.assert_allclose(back[:3, :3], rigid.orthonormalized(worn)[:3, :3], atol=1e-11)
+    np.testing.assert_allclose(back[:3, :3], rigid.orthonormalized(inaccurate)[:3, :3], atol=1e-11)
 
 
-def test_no_step_moves_nothing() -> None:
+def test_zero_step_changes_nothing() -> None:
     R, t = pose_of(1)
     R_new, t_new = moved(R, t, np.zeros(6))
     np.testing.assert_array_equal(R_new, R)
     np.testing.assert_array_equal(t_new, t)
 
 
-def test_a_thousand_steps_do_not_wear_a_rotation_out() -> None:
+def test_rotation_stays_orthonormal_after_a_thousand_steps() -> None:
     R, t = pose_of(2)
     for dx in 0.1 * np.random.default_rng(0).normal(size=(1000, 6)):
         update(R, t, dx)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
 
 
-def test_points_left_out_keep_their_values() -> None:
+def test_linearize_skips_points_that_are_not_kept() -> None:
     points = touched(50)
     keep = np.arange(50) % 2 == 0
     e, J = np.full(50, 7.0), np.full((50, 6), 7.0)
@@ -166,7 +166,7 @@ def test_normal_equations_agree_with_numpy(seed: int, n: int) -> None:
     assert cost == pytest.approx((w * e**2).sum())
 
 
-def test_a_residual_that_is_not_known_is_harmless_at_weight_zero() -> None:
+def test_nan_residual_is_ignored_at_weight_zero() -> None:
     rng = np.random.default_rng(0)
     J, e, w = rng.normal(size=(20, 6)), rng.normal(size=20), np.ones(20)
     e[3], J[3], w[3] = np.nan, np.nan, 0.0
@@ -176,7 +176,7 @@ def test_a_residual_that_is_not_known_is_harmless_at_weight_zero() -> None:
 
 
 def spd(seed: int, units: Array) -> tuple[Array, Array]:
-    """Return a well-conditioned system, its unknowns in other units."""
+    """Return a well-conditioned system with its unknowns in the given units."""
     rng = np.random.default_rng(seed)
     J = rng.normal(size=(40, 6)) * units
     return J.T @ J, rng.normal(size=6) * units
@@ -193,8 +193,8 @@ def test_cholesky_agrees_with_numpy_in_any_unit(seed: int, unit: float) -> None:
 
 @given(seeds, st.sampled_from([1.0, 1e-3, 1e3, 1e-6]))
 @LAW
-def test_a_singular_system_is_found_out_in_any_unit(seed: int, unit: float) -> None:
-    # points of one direction only slide, as on a cylinder: one motion is free
+def test_cholesky_detects_a_singular_system_in_any_unit(seed: int, unit: float) -> None:
+    # one motion is unconstrained, as rotation about the axis of a cylinder
     rng = np.random.default_rng(seed)
     J = rng.normal(size=(40, 6))
     free = rng.choice([-1.0, 1.0], (6, 1)) * rng.uniform(0.3, 1.0, (6, 1))
@@ -203,5 +203,5 @@ def test_a_singular_system_is_found_out_in_any_unit(seed: int, unit: float) -> N
     assert not solve_cholesky(np.tril(J.T @ J), J.T @ np.ones(40), np.zeros(6))
 
 
-def test_no_points_are_a_singular_system() -> None:
+def test_zero_matrix_is_singular() -> None:
     assert not solve_cholesky(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
