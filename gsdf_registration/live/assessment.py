@@ -24,7 +24,7 @@ from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.input_checks import check_points
 from gsdf_registration.registration.pipeline import find_candidates
 from gsdf_registration.registration.pose_selection import SelectedPose
-from gsdf_registration.registration.stroke_report import StrokeReport, report
+from gsdf_registration.registration.stroke_report import StrokeReport, report_strokes
 from gsdf_registration.solver import Solution
 
 Indices = NDArray[np.int64]
@@ -142,7 +142,7 @@ def assess_all_points(points: Points, field: Field, config: Config, previous: So
     residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points.positions))[0]
     return replace(found, T_tracker_bone=pose.T_tracker_bone, covariance=pose.covariance,
                    residuals_m=residuals, weights=weights,
-                   stroke_reports=tuple(report(points, residuals, weights)))
+                   stroke_reports=tuple(report_strokes(points, residuals, weights)))
 
 
 @dataclass(frozen=True)

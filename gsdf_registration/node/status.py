@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.live import LiveStatus
-from gsdf_registration.registration.stroke_report import interference
+from gsdf_registration.registration.stroke_report import interference_message
 from gsdf_registration.session.status import Status
 from msg_adapters.ros import diagnostic_status
 
@@ -34,7 +34,7 @@ def combined_status(status: Status, live: LiveStatus) -> Status:
         return status
     # A good registration need not be repeated, and landmarks come before strokes
     skip_live = live.ready or (status.remaining_landmarks and live.reason in NOT_STARTED)
-    return replace(status, message=sentence(status.message, interference(live.stroke_reports),
+    return replace(status, message=sentence(status.message, interference_message(live.stroke_reports),
                                             '' if skip_live else live.message))
 
 

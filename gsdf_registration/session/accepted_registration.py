@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points
-from gsdf_registration.registration.stroke_report import StrokeReport, report
+from gsdf_registration.registration.stroke_report import StrokeReport, report_strokes
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class AcceptedRegistration:
         """Return a report of each stroke of ``points``, for the points that were registered."""
         residuals, weights = self.fit(serials)
         registered = ~np.isnan(weights)
-        return tuple(report(Points(*(column[registered] for column in points)),
+        return tuple(report_strokes(Points(*(column[registered] for column in points)),
                             residuals[registered], weights[registered]))
 
     def uses(self, source: int, since: float) -> bool:

@@ -14,7 +14,7 @@ from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.samples import Points, Rejection, Sample
 from gsdf_registration.field import Field
-from gsdf_registration.registration.stroke_report import StrokeReport, interference
+from gsdf_registration.registration.stroke_report import StrokeReport, interference_message
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
 from gsdf_registration.session.collection import Collection, Stroke
 from gsdf_registration.session.events import Listener
@@ -184,7 +184,7 @@ class SessionState:
         assert self.field is not None
         assert result.T_tracker_bone is not None and result.T_bone_tracker is not None
         remarks = (result.message,
-                   interference(found.reports(self.collection.points(), serials)),
+                   interference_message(found.reports(self.collection.points(), serials)),
                    self.landmarks.misplaced(result.T_tracker_bone))
         result = dataclasses.replace(result, message='; '.join(filter(None, remarks)))
         self.accepted = dataclasses.replace(found, result=result)

@@ -13,12 +13,12 @@ from session_fixtures import (
     RATE,
     T_TRACKER_BONE,
     hold,
-    landmarked,
-    on_surface,
+    with_landmarks,
+    surface_point,
     registered,
     rest,
     send,
-    touched,
+    surface_points,
 )
 
 from gsdf_registration.common.config import Config
@@ -35,7 +35,7 @@ def test_landmarks_are_taken_one_after_another_with_their_spread(field: Field) -
     noise = np.random.default_rng(0).normal(0.0, 0.0003, (50, 3))
     tip = transform(T_TRACKER_BONE, LANDMARKS)
     for i, offset in enumerate(noise):
-        session.add_point(i / RATE, tip[0] + offset, 'cam')
+        session.add(sample(i / RATE, tip[0] + offset, 'cam'))
     answer = session.capture_landmark()
     assert answer.success
     assert re.fullmatch(
@@ -59,7 +59,7 @@ def test_landmarks_are_refused_with_a_reason(field: Field) -> None:
     session = Session(CONFIG, field)
     assert 'no probe tip is seen' in session.capture_landmark().message
     for i in range(200):
-        session.add_point(i / RATE, (0.001 * i, 0.0, 0.0), 'cam', arrival=i / RATE)
+        session.add(sample(i / RATE, (0.001 * i, 0.0, 0.0), 'cam', arrival=i / RATE))
     assert 'the tip moves' in session.capture_landmark(now=2.5).message
     hold(session, np.zeros(3), 10.0, arrival=10.0)
     assert 'no probe tip is seen' in session.capture_landmark(now=60.0).message
@@ -68,10 +68,10 @@ def test_landmarks_are_refused_with_a_reason(field: Field) -> None:
 
 def test_unsound_samples_never_become_a_landmark(field: Field) -> None:
     session = Session(CONFIG, field)
-    session.add_point(0.0, (0.0, 0.0, 0.0), 'cam')
+    session.add(sample(0.0, (0.0, 0.0, 0.0), 'cam'))
     for i in range(100):
-        assert session.add_point(1.0 + i / RATE, (0.1, 0.0, 0.0), 'other') is Rejection.WRONG_FRAME
-        assert session.add_point(1.0 + i / RATE, (np.nan, 0.0, 0.0), 'cam') is Rejection.NOT_FINITE
+        assert session.add(sample(1.0 + i / RATE, (0.1, 0.0, 0.0), 'other')) is Rejection.WRONG_FRAME
+        assert session.add(sample(1.0 + i / RATE, (np.nan, 0.0, 0.0), 'cam')) is Rejection.NOT_FINITE
     assert not session.capture_landmark().success
 
 
@@ -95,7 +95,7 @@ def test_landmarks_touched_in_another_order_are_told_at_once(field: Field) -> No
         hold(session, tip[place], 10.0 * count)
         answers.append(session.capture_landmark().message)
     assert 'but' not in answers[0]
-    assert '"x" and "y" are 76 mm apart, 54 mm on the model: were other places' in answers[1]
+    assert '"x" and "y" are 76 mm apart, but 54 mm on the model; check that' in answers[1]
     assert 'touched in this order: "x", "z", "y"' in answers[2]
 
 
@@ -105,7 +105,7 @@ def test_a_landmark_touched_elsewhere_is_named_after_registration(field: Field) 
     for count, place in enumerate(tip):
         hold(session, place, 10.0 * count)
         session.capture_landmark()
-    send(session, touched(field), start=100.0)
+    send(session, surface_points(field), start=100.0)
     result = session.register()
     assert result.success
     assert 'landmark "y" was touched 20 mm from its place: was it another one?' in result.message
@@ -136,16 +136,16 @@ def near(session: Session, place: Array, radius: float = 0.004) -> int:
 @pytest.mark.parametrize('touch', ['verify', 'capture_landmark'])
 def test_what_is_touched_on_purpose_is_kept_out_of_the_fit(field: Field, touch: str) -> None:
     session = Session(CONFIG, field)
-    send(session, touched(field), start=100.0)
+    send(session, surface_points(field), start=100.0)
     assert session.register(T_tracker_bone=T_TRACKER_BONE).success
-    place = on_surface(field, 501)
-    kept, around, revision = session.status().kept, near(session, place), session._holds.revision
-    end = rest(session, place, 1000.0)
+    place = surface_point(field, 501)
+    kept, around, revision = session.status().kept, near(session, place), session._state.revision
+    end = hold_noisy(session, place, 1000.0)
     assert session.status().kept == kept + 80
     assert getattr(session, touch)().success
     assert session.status().kept == kept and near(session, place) == around
-    assert session._holds.revision > revision      # who follows the collection hears of it
-    rest(session, place, end)       # it still rests there, and is still not for the fit
+    assert session._state.revision > revision      # who follows the collection hears of it
+    hold_noisy(session, place, end)       # it still rests there, and is still not for the fit
     status = session.status()
     assert (status.kept, status.rejected['touched']) == (kept, 160)
     assert not status.outdated
@@ -155,15 +155,15 @@ def test_what_is_touched_on_purpose_is_kept_out_of_the_fit(field: Field, touch: 
 
 
 def test_a_place_that_the_registration_was_found_with_is_no_verification(field: Field) -> None:
-    session = landmarked(field)
-    send(session, touched(field), start=100.0)
-    end = rest(session, on_surface(field, 501), 1000.0)
+    session = with_landmarks(field)
+    send(session, surface_points(field), start=100.0)
+    end = hold_noisy(session, surface_point(field, 501), 1000.0)
     assert session.register().success
-    rest(session, on_surface(field, 501), end)
+    hold_noisy(session, surface_point(field, 501), end)
     answer = session.verify()
     assert not answer.success and 'rested here since before the registration' in answer.message
     assert session.status().verification is None
-    rest(session, on_surface(field, 2501), 1100.0)
+    hold_noisy(session, surface_point(field, 2501), 1100.0)
     assert session.verify().success
 
 
@@ -187,7 +187,7 @@ def test_verification_points_are_measured_anew_when_the_bone_is_registered_anew(
         field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
     session = registered(field)
     normal = T_TRACKER_BONE[:3, :3] @ field.surface_normals[500]
-    hold(session, on_surface(field, 500), 1000.0)
+    hold(session, surface_point(field, 500), 1000.0)
     assert session.verify().success
     shifted = T_TRACKER_BONE.copy()
     shifted[:3, 3] += 0.003 * normal

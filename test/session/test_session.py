@@ -11,10 +11,10 @@ from session_fixtures import (
     RATE,
     T_TRACKER_BONE,
     bone,
-    landmarked,
+    with_landmarks,
     registered,
     send,
-    touched,
+    surface_points,
 )
 
 from gsdf_registration.common.config import Config
@@ -26,8 +26,8 @@ from gsdf_registration.session import Session
 
 
 def test_the_whole_job(field: Field) -> None:
-    session = landmarked(field)
-    send(session, touched(field), start=100.0)
+    session = with_landmarks(field)
+    send(session, surface_points(field), start=100.0)
     result = session.register()
     assert result.success
     error = transform(result.T_tracker_bone, LANDMARKS) - transform(T_TRACKER_BONE, LANDMARKS)
@@ -59,16 +59,16 @@ def test_each_state_and_its_sentence(field: Field) -> None:
 def test_what_was_refused_is_no_news_once_more_is_collected(field: Field) -> None:
     session = Session(CONFIG, field)
     session.register()
-    send(session, touched(field, 29))
+    send(session, surface_points(field, 29))
     assert session.status().state == 'refused'
-    send(session, touched(field, 1), start=100.0)
+    send(session, surface_points(field, 1), start=100.0)
     assert session.status().message == (
         'collecting; 30 points in 30 strokes held; next landmark is "x"')
 
 
 def test_a_pose_stays_the_news_while_only_what_came_later_is_undone(field: Field) -> None:
     session = registered(field)
-    send(session, touched(field, 40), start=1000.0)
+    send(session, surface_points(field, 40), start=1000.0)
     assert session.undo().success
     assert session.status().state == 'registered'
     for _ in range(40):
@@ -79,9 +79,9 @@ def test_a_pose_stays_the_news_while_only_what_came_later_is_undone(field: Field
 def test_automatic_collection_can_be_off(field: Field) -> None:
     session = Session(Config.from_flat({'collect.automatic': False}), field)
     assert session.status().state == 'idle'
-    assert session.add_point(0.0, (0.0, 0.0, 0.0), 'cam') is Rejection.NOT_COLLECTING
+    assert session.add(sample(0.0, (0.0, 0.0, 0.0), 'cam')) is Rejection.NOT_COLLECTING
     assert session.collect(True).success
-    assert session.add_point(1.0, (0.0, 0.0, 0.0), 'cam') is None
+    assert session.add(sample(1.0, (0.0, 0.0, 0.0), 'cam')) is None
 
 
 def test_without_a_model_there_is_no_registration() -> None:
@@ -90,7 +90,7 @@ def test_without_a_model_there_is_no_registration() -> None:
 
 def test_a_first_guess_may_be_given(field: Field) -> None:
     session = Session(CONFIG, field)
-    send(session, touched(field))
+    send(session, surface_points(field))
     assert session.register(T_tracker_bone=T_TRACKER_BONE).success
     assert session.register(landmarks=(LANDMARKS, transform(T_TRACKER_BONE, LANDMARKS))).success
 
@@ -110,7 +110,7 @@ def test_strokes_and_undo(field: Field) -> None:
     for stroke in range(3):
         assert session.collect(True).success
         for i, point in enumerate(line):
-            session.add_point(10.0 * stroke + i / RATE, point, 'cam')
+            session.add(sample(10.0 * stroke + i / RATE, point, 'cam'))
         session.collect(False)
     assert (session.status().kept, session.status().strokes) == (300, 3)
     answer = session.undo()
@@ -135,9 +135,9 @@ def test_undo_of_several_strokes_and_of_parts_of_one(field: Field) -> None:
     for stroke in range(2):
         session.collect(True)
         for i, point in enumerate(line):
-            session.add_point(100.0 * stroke + i / RATE, point, 'cam')
+            session.add(sample(100.0 * stroke + i / RATE, point, 'cam'))
     for i, point in enumerate(line):        # after a silence
-        session.add_point(150.0 + i / RATE, point, 'cam')
+        session.add(sample(150.0 + i / RATE, point, 'cam'))
     assert session.undo().message == (
         'dropped the last stroke, 80 points, which a silence had split off the one before: undo '
         'again to drop that too; 160 points in 2 strokes held')
@@ -149,9 +149,9 @@ def test_undo_of_several_strokes_and_of_parts_of_one(field: Field) -> None:
 def test_a_pose_is_outdated_when_points_it_was_found_with_were_dropped(field: Field) -> None:
     session = Session(CONFIG, field)
     assert not session.status().outdated
-    send(session, touched(field), start=100.0)
+    send(session, surface_points(field), start=100.0)
     assert session.register(T_tracker_bone=T_TRACKER_BONE).success
-    send(session, touched(field, 50), start=1000.0)
+    send(session, surface_points(field, 50), start=1000.0)
     for _ in range(50):
         session.undo()
     assert not session.status().outdated and session.status().kept == 300
@@ -165,18 +165,18 @@ def test_a_pose_is_outdated_when_points_it_was_found_with_were_dropped(field: Fi
 
 def test_a_stroke_of_interference_is_named_and_gone_after_undo(field: Field) -> None:
     session = Session(CONFIG, field)
-    send(session, touched(field), start=100.0)
+    send(session, surface_points(field), start=100.0)
     session.collect(True)
     for i in range(24):         # a retractor
-        session.add_point(1000.0 + 0.2 * i, transform(T_TRACKER_BONE, [0.09, 0.005 * i, 0.0]),
-                          'cam')
+        session.add(sample(1000.0 + 0.2 * i, transform(T_TRACKER_BONE, [0.09, 0.005 * i, 0.0]),
+                          'cam'))
     result = session.register(T_tracker_bone=T_TRACKER_BONE)
-    words = 'stroke 301: 24 points, none on the bone: interference; undo it or leave it'
+    words = 'stroke 301: 24 points, none on the bone: interference; the registration ignores it'
     assert result.success and result.message.endswith(f'; {words}')
     status = session.status()
     assert words in status.message and status.stroke_reports[-1].sentence == words
     assert all(each.rms_m < 1e-3 for each in status.stroke_reports[:-1])
-    send(session, touched(field, 5), start=2000.0)      # not in it: nothing is said of them
+    send(session, surface_points(field, 5), start=2000.0)      # not in it: nothing is said of them
     assert len(session.status().stroke_reports) == 301
     for _ in range(6):
         session.undo()
@@ -192,17 +192,17 @@ def test_a_remark_goes_with_the_status_until_there_is_news(field: Field) -> None
         forget()
         assert 'journal' not in session.status().message
     session.remark('taken up from a journal')
-    send(session, touched(field, 299))
+    send(session, surface_points(field, 299))
     assert session.status().remark
-    send(session, touched(field, 1), start=1000.0)
+    send(session, surface_points(field, 1), start=1000.0)
     assert not session.status().remark      # the operator has gone on
 
 
 def test_another_model_drops_what_is_true_of_one_bone_only(field: Field) -> None:
-    session = landmarked(None)
+    session = with_landmarks(None)
     assert session.status().landmarks == 3
     assert not session.set_model(field)     # they were named for it
-    send(session, touched(field), start=100.0)
+    send(session, surface_points(field), start=100.0)
     assert session.register().success
     assert not session.set_model(field)
     assert session.status().pose_result is not None and session.landmarks() is not None
@@ -213,22 +213,22 @@ def test_another_model_drops_what_is_true_of_one_bone_only(field: Field) -> None
 
 def test_settings_change_while_points_are_held(field: Field) -> None:
     session = Session(CONFIG, field)
-    send(session, touched(field, 50))
+    send(session, surface_points(field, 50))
     session.configure(CONFIG.replaced({'gate.quality': 0.0, 'collect.max_points': 100}))
-    assert send(session, touched(field, 60), start=100.0, quality=1.0)[-1] is Rejection.FULL
+    assert send(session, surface_points(field, 60), start=100.0, quality=1.0)[-1] is Rejection.FULL
     with pytest.raises(InputError, match='clear before'):
         session.configure(CONFIG.replaced({'probe.frame_id': 'array'}))
     session.clear()
     session.configure(CONFIG.replaced({'probe.frame_id': 'array'}))
-    assert session.add_point(0.0, (0.0, 0.0, 0.0), 'cam') is Rejection.WRONG_FRAME
+    assert session.add(sample(0.0, (0.0, 0.0, 0.0), 'cam')) is Rejection.WRONG_FRAME
 
 
 def test_status_says_what_is_wrong_with_the_points(field: Field) -> None:
     session = Session(Config.from_flat({'probe.frame_id': 'array'}), field)
-    send(session, touched(field, 100))
+    send(session, surface_points(field, 100))
     assert session.status().rejected['wrong_frame'] == 100
     assert 'not in "array": is probe.frame_id right' in session.status().message
     nameless = Session(CONFIG, field)
-    nameless.add_point(0.0, (0.0, 0.0, 0.0), '')
+    nameless.add(sample(0.0, (0.0, 0.0, 0.0), ''))
     assert 'header.frame_id' in nameless.status().message
     assert set(session.status().rejected) == {str(cause) for cause in Rejection}
