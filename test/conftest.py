@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Fixtures that several test modules use: the shipped bones and recordings, and a copy of the sources.
-"""
+"""Fixtures of several test modules: bones and recordings of bags/, and a copy of the sources."""
 
 from __future__ import annotations
 
@@ -17,18 +15,16 @@ from msg_adapters.recording import Recording
 from msg_adapters.truth import Truth, read_truth
 
 ROOT = Path(__file__).parents[1]
-PACKAGE = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE',
+SOURCES = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE',
            'resource', 'config', 'launch', 'bags', 'gsdf_registration', 'gsdf_registration_msgs',
            'msg_adapters', 'test')
 
 
 @pytest.fixture(scope='session')
 def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """
-    Return a copy of what makes the package, to build in without leaving anything in the sources.
-    """
+    """Return a copy of the sources in which the package can be built."""
     copy = tmp_path_factory.mktemp('workspace') / 'gsdf_registration'
-    for name in PACKAGE:
+    for name in SOURCES:
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns('__pycache__'))
         else:
@@ -39,7 +35,7 @@ def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope='session')
 def bags() -> Path:
-    """Return the directory of the shipped bones and recordings."""
+    """Return the directory of the bones and recordings."""
     return ROOT / 'bags'
 
 
@@ -80,10 +76,10 @@ def em_bag(bags: Path) -> Path:
 
 
 @pytest.fixture(scope='session')
-def optical_run(optical_bag: Path) -> tuple[Recording, Truth]:
+def optical_recording(optical_bag: Path) -> tuple[Recording, Truth]:
     return read_bag(optical_bag), read_truth(optical_bag.with_suffix('.yaml'))
 
 
 @pytest.fixture(scope='session')
-def em_run(em_bag: Path) -> tuple[Recording, Truth]:
+def em_recording(em_bag: Path) -> tuple[Recording, Truth]:
     return read_bag(em_bag), read_truth(em_bag.with_suffix('.yaml'))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small smooth bone, no two of whose sides are alike, and points touched on it."""
+"""A small, smooth, asymmetric bone and points on its surface."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
 
 
 def ball_mesh(radii: Array, bumps: tuple[tuple[Array, float], ...] = ()) -> trimesh.Trimesh:
-    """
-    Return an ellipsoid, m, with a smooth bump (direction, relative height) for each of ``bumps``.
-    """
+    """Return an ellipsoid, m, with smooth ``bumps``: direction and relative height of each."""
     ball = trimesh.creation.icosphere(subdivisions=5)
     scale = np.ones(len(ball.vertices))
     for direction, height in bumps:
@@ -47,12 +45,13 @@ def bone_field() -> Field:
     return field_of(bone_mesh())
 
 
-def touched(n: int, seed: int = 0, sigma: float = 0.0, radius: float = 0.045,
+def touched_points(n: int, seed: int = 0, sigma: float = 0.0, radius: float = 0.045,
             mesh: trimesh.Trimesh | None = None) -> Array:
     """
-    Return ``n`` points (n, 3) of the bone's surface, bone frame, m, with isotropic noise.
+    Return ``n`` points (n, 3) on the surface, bone frame, m, with isotropic noise.
 
-    They lie within ``radius`` of the surface point farthest in +x, as what a wound exposes.
+    They are within ``radius`` of the surface point with the largest x, as if exposed by an
+    incision.
     """
     mesh = bone_mesh() if mesh is None else mesh
     rng = np.random.default_rng(seed)
@@ -63,15 +62,15 @@ def touched(n: int, seed: int = 0, sigma: float = 0.0, radius: float = 0.045,
     return np.asarray(chosen + sigma * rng.normal(size=chosen.shape))
 
 
-def off_the_model(points: Array, seed: int, off: float, alike: float) -> Array:
+def with_model_error(points: Array, seed: int, sigma: float, length: float) -> Array:
     """
-    Return points (n, 3) of the bone, m, as if it were ``off`` its model (SD), along the normals.
+    Return points (n, 3) of the bone, m, moved along the normals by an error of the model.
 
-    Alike over stretches of length ``alike``, m: a sum of waves, as many for each length as a Matern
-    3/2 covariance has.
+    The error is a random field with standard deviation ``sigma`` and a Matern 3/2 covariance with
+    the correlation length ``length``, m, approximated by a sum of waves.
     """
     rng = np.random.default_rng(seed)
-    waves = rng.normal(size=(500, 3)) / alike / np.sqrt(rng.chisquare(3, (500, 1)) / 3.0)
+    waves = rng.normal(size=(500, 3)) / length / np.sqrt(rng.chisquare(3, (500, 1)) / 3.0)
     phases = rng.uniform(0.0, 2.0 * np.pi, 500)
-    error = off * np.sqrt(2.0 / 500) * np.cos(points @ waves.T + phases).sum(axis=1)
+    error = sigma * np.sqrt(2.0 / 500) * np.cos(points @ waves.T + phases).sum(axis=1)
     return np.asarray(points + error[:, None] * bone_field().sample(points)[1])

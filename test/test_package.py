@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``pip install`` gives."""
+"""Test what ``pip install`` installs."""
 
 from __future__ import annotations
 
@@ -20,30 +20,26 @@ MANIFEST = ElementTree.parse(ROOT / 'package.xml').getroot()
 
 @pytest.fixture(scope='module')
 def installed(source_copy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a prefix into which the package, without its dependencies, was installed by pip."""
+    """Return a prefix with the package installed by pip, without its dependencies."""
     prefix = tmp_path_factory.mktemp('prefix')
-    # --ignore-installed: or pip would remove the package from the environment that runs the tests
-    subprocess.run([
-        sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation',
-        '--ignore-installed', '--prefix',
-        str(prefix),
-        str(source_copy)
-    ],
-                   check=True)
+    # --ignore-installed: otherwise pip would uninstall the package from this environment
+    subprocess.run([sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps',
+                    '--no-build-isolation', '--ignore-installed', '--prefix', str(prefix),
+                    str(source_copy)], check=True)
     return prefix
 
 
 def site_packages(prefix: Path) -> Path:
-    """Return the folder of Python packages of a prefix."""
+    """Return the site-packages directory of a prefix."""
     return next(prefix.glob('lib/python3*/site-packages'))
 
 
 @pytest.mark.parametrize('script', ['gsdf', 'registration_node'])
-def test_console_scripts_stand_on_the_path(installed: Path, script: str) -> None:
+def test_installs_console_scripts(installed: Path, script: str) -> None:
     assert os.access(installed / 'bin' / script, os.X_OK)
 
 
-def test_the_installed_command_runs(installed: Path, tmp_path: Path) -> None:
+def test_installed_command_runs(installed: Path, tmp_path: Path) -> None:
     done = subprocess.run([installed / 'bin/gsdf', '--help'],
                           cwd=tmp_path,
                           capture_output=True,
@@ -53,15 +49,21 @@ def test_the_installed_command_runs(installed: Path, tmp_path: Path) -> None:
     assert 'register' in done.stdout
 
 
-def test_every_module_is_installed(installed: Path) -> None:
+def test_installs_every_module(installed: Path) -> None:
     for package in ('gsdf_registration', 'msg_adapters'):
         sources = {file.relative_to(ROOT) for file in (ROOT / package).rglob('*.py')}
-        there = {file.relative_to(site_packages(installed))
+        found = {file.relative_to(site_packages(installed))
                  for file in (site_packages(installed) / package).rglob('*.py')}
-        assert there == sources
+        assert found == sources
 
 
-def test_ros_finds_the_share_folder(installed: Path) -> None:
+def test_does_not_install_benchmarks_and_tests(installed: Path) -> None:
+    packages = {path.name for path in site_packages(installed).iterdir() if path.is_dir()}
+    assert {name for name in packages if not name.endswith('.dist-info')} == {
+        'gsdf_registration', 'msg_adapters'}
+
+
+def test_installs_the_share_directory(installed: Path) -> None:
     assert (installed / 'share/ament_index/resource_index/packages/gsdf_registration').is_file()
     share = installed / 'share/gsdf_registration'
     assert (share / 'package.xml').is_file()
@@ -73,14 +75,14 @@ def test_ros_finds_the_share_folder(installed: Path) -> None:
         assert sources
 
 
-def test_the_version_is_the_same_everywhere(installed: Path) -> None:
+def test_version_is_the_same_everywhere(installed: Path) -> None:
     version = gsdf_registration.__version__
     assert MANIFEST.findtext('version') == version
     assert (site_packages(installed) / f'gsdf_registration-{version}.dist-info').is_dir()
     assert f'## [{version}]' in (ROOT / 'CHANGELOG.md').read_text()
 
 
-def test_the_manifest_names_every_message_package_that_is_imported() -> None:
+def test_manifest_declares_every_imported_ros_package() -> None:
     declared = {element.text for element in MANIFEST if element.tag in ('depend', 'exec_depend')}
     sources = [file.read_text() for package in ('gsdf_registration', 'msg_adapters', 'launch')
                for file in (ROOT / package).rglob('*.py')]
@@ -91,7 +93,7 @@ def test_the_manifest_names_every_message_package_that_is_imported() -> None:
     assert imported <= declared
 
 
-def test_the_manifest_is_an_ament_python_package_of_format_3() -> None:
+def test_manifest_is_an_ament_python_package_of_format_3() -> None:
     assert MANIFEST.get('format') == '3'
     assert MANIFEST.findtext('export/build_type') == 'ament_python'
     assert MANIFEST.findtext('license') == 'Apache-2.0'

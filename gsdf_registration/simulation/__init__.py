@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bones that never lived and probes nobody held: known truth for tests, benchmarks and demos."""
+"""Simulated bones and recordings with ground truth, for tests, benchmarks and the demo."""

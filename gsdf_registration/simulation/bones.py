@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bones from code: implicit solids, contoured, evened, rounded to 0.01 mm: the same everywhere."""
+"""Meshes of synthetic bones, made from implicit solids and identical on every machine."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from gsdf_registration.simulation import femur, hip
 from gsdf_registration.simulation.implicit import Points
 
 SHAPES: dict[str, ModuleType] = {'hip': hip, 'femur': femur}
-RESOLUTION = 0.01       # mm; hides the last bits in which processors differ
+RESOLUTION = 0.01       # mm, to which vertices are rounded: processors differ in the last bits
 
 
 def bone_mesh(name: str, spacing: float = 2.4) -> trimesh.Trimesh:
     """
-    Return the closed surface of a bone.
+    Return the closed surface of a synthetic bone.
 
     Parameters
     ----------
     name : 'hip' or 'femur'
-    spacing : float, mm between the nodes at which the solid is sampled; edges come out as long
+    spacing : float, mm, of the grid on which the solid is sampled; also the length of the edges
 
     Returns
     -------
-    trimesh.Trimesh, millimetres, one watertight body, faces outward
+    trimesh.Trimesh, mm, one watertight body, faces outward
 
     """
-    from skimage.measure import marching_cubes  # needed to make bones only, not to find them
+    from skimage.measure import marching_cubes  # a dependency of the tests only
 
     shape = SHAPES[name]
     low, high = (np.array(corner) for corner in shape.BOX)
@@ -41,19 +41,19 @@ def bone_mesh(name: str, spacing: float = 2.4) -> trimesh.Trimesh:
                                            gradient_direction='descent')
     mesh = trimesh.Trimesh(vertices + low, faces)
     mesh = max(mesh.split(only_watertight=False), key=lambda part: len(part.faces))
-    even = _evened(shape, np.asarray(mesh.vertices), mesh.edges_unique)
-    return trimesh.Trimesh(np.round(even / RESOLUTION) * RESOLUTION, mesh.faces, process=False)
+    vertices = _smoothed(shape, np.asarray(mesh.vertices), mesh.edges_unique)
+    return trimesh.Trimesh(np.round(vertices / RESOLUTION) * RESOLUTION, mesh.faces, process=False)
 
 
 def bone_landmarks(name: str, mesh: trimesh.Trimesh) -> dict[str, Array]:
-    """Return the bone's landmarks by name: vertices (3,) of ``mesh``, mm, nearest their places."""
+    """Return the landmarks of the bone by name: the nearest vertices (3,) of ``mesh``, mm."""
     vertices = np.asarray(mesh.vertices)
     return {landmark: vertices[np.argmin(np.linalg.norm(vertices - np.array(place), axis=1))]
             for landmark, place in SHAPES[name].LANDMARKS.items()}
 
 
-def _evened(shape: ModuleType, vertices: Array, edges: np.ndarray, rounds: int = 6) -> Array:
-    """Slide the vertices toward their neighbours' mean, then back onto the solid: no slivers."""
+def _smoothed(shape: ModuleType, vertices: Array, edges: np.ndarray, rounds: int = 6) -> Array:
+    """Move vertices toward the mean of their neighbours, then back onto the solid."""
     n = len(vertices)
     both = np.concatenate([edges, edges[:, ::-1]])
     links = sparse.coo_matrix((np.ones(len(both)), tuple(both.T)), (n, n)).tocsr()
@@ -69,7 +69,7 @@ def _evened(shape: ModuleType, vertices: Array, edges: np.ndarray, rounds: int =
 def _value_and_gradient(shape: ModuleType,
                         vertices: Array,
                         step: float = 1e-3) -> tuple[Array, Array]:
-    """Return the solid at the vertices (n,), its slope (n, 3) by differences over ``step`` mm."""
+    """Return value (n,) and gradient (n, 3) of the solid, by differences over ``step`` mm."""
     shifted = np.concatenate([vertices, *(vertices + step * e for e in np.eye(3))])
     p: Points = (shifted[:, 0], shifted[:, 1], shifted[:, 2])
     value, *beside = shape.solid(p).reshape(4, -1)

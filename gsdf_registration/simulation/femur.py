@@ -2,7 +2,7 @@
 """
 The shape of a right femur.
 
-Millimetres; x lateral (right), y anterior, z up; origin between the condyles, right below the head.
+Millimetres; x lateral (right), y anterior, z superior; origin between the condyles, below the head.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def solid(p: Points) -> Array:
 
 
 def _shaft(p: Points) -> Array:
-    """Return the bowed shaft: an ellipse at every height, with the linea aspera behind."""
+    """Return the bowed shaft: an ellipse at every height, with the linea aspera posterior."""
     x, y, z = p
     heights = [20.0, 45.0, 60.0, 80.0, 110.0, 160.0, 230.0, 300.0, 340.0, 365.0, 385.0]
     wide = np.interp(z, heights, [26.0, 34.0, 29.0, 22.5, 17.5, 14.5, 13.3, 14.2, 17.0, 20.0, 18.0])
@@ -46,7 +46,7 @@ def _shaft(p: Points) -> Array:
     cx = 36.0 * s**1.15
     cy = 4.0 + 44.0 * s * (1.0 - s) - 5.0 * s
     u, v = x - cx, y - cy
-    around = np.arctan2(u + 2.0, -v)      # zero right behind, a little lateral of the axis
+    around = np.arctan2(u + 2.0, -v)      # zero posterior, slightly lateral of the axis
     ridge = 3.2 * np.exp(-(around / 0.28) ** 2) * np.exp(-(((z - 215.0) / 95.0) ** 4))
     k = np.sqrt((u / wide) ** 2 + (v / deep) ** 2)
     shell = (k - 1.0) * np.minimum(wide, deep) - ridge
@@ -94,7 +94,7 @@ def _distal(p: Points) -> Array:
 
 
 def _distal_grooves(p: Points, bone: Array) -> Array:
-    """Carve the intercondylar notch, the patellar groove and the hollow behind the knee."""
+    """Carve the intercondylar notch, the patellar groove and the popliteal surface."""
     notch = ellipsoid(p, (1.0, -33.0, 8.0), (10.5, 37.0, 25.0), (-14.0, 0.0, 0.0))
     bone = carve(bone, notch, 6.0)
     groove = tube(p, [(3.0, 49.0, 62.0), (2.5, 44.0, 36.0), (1.5, 30.0, 2.0), (1.0, 6.0, -13.0)],

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Implicit solids: functions of points, negative inside and near the signed distance in millimetres.
+Implicit solids: functions that approximate the signed distance in millimetres, negative inside.
 
-Every function takes points as three arrays ``p = (x, y, z)`` of one shape and returns one such.
+Every function accepts points as three arrays ``p = (x, y, z)`` of equal shape and returns one array
+of that shape.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ Points = tuple[Array, Array, Array]
 
 
 def join(a: Array, b: Array, blend: float) -> Array:
-    """Return the union of two solids, the seam filled over ``blend`` mm (polynomial smooth min)."""
+    """Return the smooth union of two solids, blended over ``blend`` mm (polynomial smooth min)."""
     h = np.maximum(blend - np.abs(a - b), 0.0) / blend
     return np.minimum(a, b) - h * h * blend / 4.0
 
 
 def carve(a: Array, b: Array, blend: float) -> Array:
-    """Return solid ``a`` without ``b``, the new edge rounded over about ``blend`` mm."""
+    """Return solid ``a`` without ``b``, a smooth difference blended over ``blend`` mm."""
     return -join(-a, b, blend)
 
 
 def moved(p: Points, centre: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> Points:
-    """Return the points in a frame at ``centre`` (mm) turned by rotation vector ``turn`` (deg)."""
+    """Return the points in a frame at ``centre``, mm, with rotation vector ``turn``, degrees."""
     R = rotation_exp(np.radians(np.asarray(turn, dtype=np.float64)))
     q = [p[i] - float(np.asarray(centre)[i]) for i in range(3)]
     x, y, z = (q[0] * R[0, i] + q[1] * R[1, i] + q[2] * R[2, i] for i in range(3))
@@ -39,7 +40,7 @@ def moved(p: Points, centre: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> Po
 
 def ellipsoid(p: Points, centre: ArrayLike, radii: ArrayLike,
               turn: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-    """Return an ellipsoid (sphere if the radii agree), to first order a distance."""
+    """Return an ellipsoid, whose value is a first-order distance."""
     q = moved(p, centre, turn)
     a, b, c = np.asarray(radii, dtype=np.float64)
     k = np.sqrt((q[0] / a) ** 2 + (q[1] / b) ** 2 + (q[2] / c) ** 2)
@@ -48,7 +49,7 @@ def ellipsoid(p: Points, centre: ArrayLike, radii: ArrayLike,
 
 
 def tube(p: Points, path: ArrayLike, radii: Sequence[float], pieces: int = 4) -> Array:
-    """Return a bent, tapered tube: spheres of ``radii`` along a curve through ``path`` (n, 3)."""
+    """Return a curved, tapered tube with ``radii`` at the points of ``path`` (n, 3)."""
     path = np.asarray(path, dtype=np.float64)
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     s = np.unique(np.concatenate([np.linspace(a, b, pieces + 1) for a, b in zip(knots, knots[1:])]))
@@ -79,7 +80,7 @@ def polygon(x: Array, y: Array, corners: ArrayLike) -> Array:
 
 
 def unevenness(p: Points, height: float) -> Array:
-    """Return a gentle aperiodic relief of about ``height`` mm and wavelengths of 14 to 45 mm."""
+    """Return a smooth aperiodic relief of about ``height`` mm, wavelengths 14 to 45 mm."""
     waves = ((0.14, 0.05, -0.09, 0.3), (-0.06, 0.17, 0.08, 1.9), (0.09, -0.12, 0.21, 4.1),
              (0.27, 0.16, 0.04, 2.6), (-0.19, 0.23, -0.14, 5.2), (0.13, 0.29, 0.31, 0.9))
     out = np.zeros(p[0].shape)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What a recording holds besides the bone.
+Add interference to a simulated recording.
 
-Strays, soft tissue, lift-offs, other objects, a resting tip.
+Interference is every sample that is not on the bone in a stroke: scattered outliers, soft tissue,
+lift-offs, other objects and a stationary tip.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ from gsdf_registration.simulation.patch import Patch, walk, whole_surface
 
 
 class Kind(IntEnum):
-    """What a sample is, and where the tip truly was."""
+    """The kind of a sample, which tells where the tip was."""
 
     SURFACE = 0         # on the bone, in a stroke
-    UNIFORM = 1         # anywhere in the model's box grown by 20 %
-    SOFT_TISSUE = 2     # in a stroke, 1 to 6 mm off the bone, always outward, smoothly
-    LIFT_OFF = 3        # on an arc through the air to the next stroke
-    OTHER_OBJECT = 4    # in a stroke on something near by: a retractor, another bone
-    RESTING = 5         # on the bone, at one place for long
+    UNIFORM = 1         # uniform in the bounding box of the model enlarged by 20 %
+    SOFT_TISSUE = 2     # in a stroke, 1 to 6 mm outside the bone, varying smoothly
+    LIFT_OFF = 3        # on an arc to the next stroke
+    OTHER_OBJECT = 4    # in a stroke on an object near the bone, such as a retractor
+    RESTING = 5         # on the bone, stationary
 
 
 @dataclass(frozen=True)
 class Interference:
-    """The share of all samples that each kind takes, 0 to 1; together below 1."""
+    """The share of each kind in all samples, in [0, 1); their sum must be below 1."""
 
     uniform: float = 0.0
     soft_tissue: float = 0.0
@@ -44,19 +45,19 @@ class Interference:
 
     def counts(self, points: int) -> dict[Kind, int]:
         """
-        Return the samples of each kind beside ``points`` samples of the bone.
+        Return the number of samples of each kind to add to ``points`` samples of the bone.
 
         Raises
         ------
         InputError
-            If a share is negative or they leave nothing for the bone.
+            If a share is negative or the sum is not below 1.
 
         """
         shares = {Kind[share.name.upper()]: getattr(self, share.name) for share in fields(self)}
         rest = 1.0 - sum(shares.values())
         if min(shares.values()) < 0.0 or rest < 1e-6:
             raise InputError(
-                'the shares of interference must each lie in [0, 1) and together stay below 1')
+                'the shares of interference must be in [0, 1) and their sum must be below 1')
         return {kind: round(share / rest * points) for kind, share in shares.items()}
 
 
@@ -64,7 +65,7 @@ NONE = Interference()
 
 
 class Samples(NamedTuple):
-    """Samples in order: tips (n, 3) m, kinds (n,), strokes (n,), ticks (n,) since the last one."""
+    """Samples in order: tips (n, 3) m, kinds, strokes, and ticks since the previous sample (n,)."""
 
     tips: Array
     kinds: NDArray[np.uint8]
@@ -73,11 +74,15 @@ class Samples(NamedTuple):
 
 
 @dataclass(eq=False)
-class Run:
+class Segment:
     """
-    Consecutive samples: tips (n, 3) m, kinds (n,), ticks (n,) since the last, normals (n, 3).
+    Consecutive samples.
 
-    A tick is a period of the tracker.  ``linked``: belongs to the stroke before, follows at once.
+    tips : (n, 3) float64, m, bone frame
+    kinds : (n,) uint8, of `Kind`
+    ticks : (n,) float64, periods of the tracker since the previous sample
+    normals : (n, 3) float64, of the surface; None if the samples are not on the bone
+    linked : whether it belongs to the stroke of the previous segment and follows without a pause
     """
 
     tips: Array
@@ -87,66 +92,68 @@ class Run:
     linked: bool = False
 
 
-def disturbed(strokes: list[Run], patch: Patch, counts: dict[Kind, int], rng: np.random.Generator,
-              pause: tuple[float, float], step: float) -> Samples:
+def add_interference(strokes: list[Segment], patch: Patch, counts: dict[Kind, int],
+                     rng: np.random.Generator, pause: tuple[float, float], step: float) -> Samples:
     """
-    Return the samples of all strokes with interference put in.
+    Return the samples of all strokes with interference.
 
     Parameters
     ----------
-    strokes : list of Run, on the bone; changed in place where soft tissue lifts the tip
-    counts : samples of each kind
-    pause : (float, float), ticks, shortest and longest between strokes
-    step : float, m from sample to sample
+    strokes : list of Segment, on the bone; modified in place by soft tissue
+    counts : number of samples of each kind
+    pause : (float, float), ticks, shortest and longest pause between strokes
+    step : float, m, distance between samples
 
     """
-    _lift_on_tissue(strokes, counts[Kind.SOFT_TISSUE], rng)
-    for run in [*_other_strokes(patch, counts[Kind.OTHER_OBJECT], step, rng),
-                *_resting_strokes(patch, counts[Kind.RESTING], rng)]:
-        strokes.insert(int(rng.integers(0, len(strokes) + 1)), run)
-    runs = _with_arcs(strokes, patch.approach, counts[Kind.LIFT_OFF], step, rng)
-    for run in runs:
-        if not run.linked:
-            run.ticks[0] += rng.uniform(*pause)
-    runs[0].ticks[0] = 1.0
-    number = np.cumsum([not run.linked for run in runs]) - 1
-    samples = Samples(np.concatenate([run.tips for run in runs]),
-                      np.concatenate([run.kinds for run in runs]),
-                      np.repeat(number, [len(run.ticks) for run in runs]).astype(np.int32),
-                      np.concatenate([run.ticks for run in runs]))
-    return _with_strays(samples, patch.bounds, counts[Kind.UNIFORM], rng)
+    _add_soft_tissue(strokes, counts[Kind.SOFT_TISSUE], rng)
+    for segment in [*_other_strokes(patch, counts[Kind.OTHER_OBJECT], step, rng),
+                    *_stationary_segments(patch, counts[Kind.RESTING], rng)]:
+        strokes.insert(int(rng.integers(0, len(strokes) + 1)), segment)
+    segments = _with_arcs(strokes, patch.approach, counts[Kind.LIFT_OFF], step, rng)
+    for segment in segments:
+        if not segment.linked:
+            segment.ticks[0] += rng.uniform(*pause)
+    segments[0].ticks[0] = 1.0
+    numbers = np.cumsum([not segment.linked for segment in segments]) - 1
+    samples = Samples(np.concatenate([segment.tips for segment in segments]),
+                      np.concatenate([segment.kinds for segment in segments]),
+                      np.repeat(numbers, [len(each.ticks) for each in segments]).astype(np.int32),
+                      np.concatenate([segment.ticks for segment in segments]))
+    return _insert_outliers(samples, patch.bounds, counts[Kind.UNIFORM], rng)
 
 
-def _lift_on_tissue(strokes: list[Run], count: int, rng: np.random.Generator) -> None:
-    """Put soft tissue on a few places of the bone: the ``count`` samples nearest ride over it."""
+def _add_soft_tissue(strokes: list[Segment], count: int, rng: np.random.Generator) -> None:
+    """Lift the ``count`` samples nearest to one to three places, as soft tissue there would."""
     if count == 0:
         return
-    tips = np.concatenate([run.tips for run in strokes])
-    pads = tips[rng.integers(0, len(tips), int(rng.integers(1, 4)))]
-    wide = rng.uniform(0.6, 1.4, len(pads))
-    away = (np.linalg.norm(tips[:, None] - pads, axis=2) / wide).min(axis=1)
+    tips = np.concatenate([segment.tips for segment in strokes])
+    places = tips[rng.integers(0, len(tips), int(rng.integers(1, 4)))]
+    width = rng.uniform(0.6, 1.4, len(places))
+    away = (np.linalg.norm(tips[:, None] - places, axis=2) / width).min(axis=1)
     under = np.argsort(away, kind='stable')[:count]
     height = rng.uniform(0.002, 0.006)
     lifts = np.zeros(len(tips))
     edge = max(away[under].max(), 1e-9)
     lifts[under] = 0.001 + (height - 0.001) * np.cos(0.5 * np.pi * away[under] / edge)
     first = 0
-    for run in strokes:
-        lift = lifts[first:first + len(run.tips)]
-        first += len(run.tips)
-        assert run.normals is not None
-        run.tips = run.tips + lift[:, None] * run.normals
-        run.kinds[lift > 0.0] = Kind.SOFT_TISSUE
+    for segment in strokes:
+        lift = lifts[first:first + len(segment.tips)]
+        first += len(segment.tips)
+        assert segment.normals is not None
+        segment.tips = segment.tips + lift[:, None] * segment.normals
+        segment.kinds[lift > 0.0] = Kind.SOFT_TISSUE
 
 
 @lru_cache(maxsize=1)
 def _ball() -> Patch:
+    """Return the unit sphere."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     return whole_surface(np.asarray(ball.vertices), np.asarray(ball.faces))
 
 
-def _other_strokes(patch: Patch, count: int, step: float, rng: np.random.Generator) -> list[Run]:
-    """Return ``count`` samples in one or two strokes on an ellipsoid that stands in the wound."""
+def _other_strokes(patch: Patch, count: int, step: float,
+                   rng: np.random.Generator) -> list[Segment]:
+    """Return ``count`` samples in one or two strokes on an ellipsoid in the exposed area."""
     if count == 0:
         return []
     radii = rng.uniform(0.008, 0.03, 3)
@@ -159,30 +166,29 @@ def _other_strokes(patch: Patch, count: int, step: float, rng: np.random.Generat
     points, _ = walk(ball, starts, faces, rng.uniform(0.0, 2.0 * np.pi, 2), strokes, steps,
                      rng.normal(0.0, 0.1) * steps)
     tips = centre + (points * radii) @ rotation_from_quaternion(rng.normal(size=4)).T
-    return [_run(tips[strokes == k], Kind.OTHER_OBJECT) for k in range(2) if (strokes == k).any()]
+    return [_segment(tips[strokes == k], Kind.OTHER_OBJECT) for k in range(2)
+            if (strokes == k).any()]
 
 
-def _resting_strokes(patch: Patch, count: int, rng: np.random.Generator) -> list[Run]:
-    """Return ``count`` samples of a tip that stays put, at one or two places on the bone."""
+def _stationary_segments(patch: Patch, count: int, rng: np.random.Generator) -> list[Segment]:
+    """Return ``count`` samples of a stationary tip, at one or two places on the bone."""
     if count == 0:
         return []
     places, _ = patch.random_points(2, rng)
     split = np.bincount(rng.integers(0, 2, count) if count > 400 else np.zeros(count, dtype=int),
                         minlength=2)
-    return [
-        _run(np.repeat(place[None], n, axis=0), Kind.RESTING) for place, n in zip(places, split)
-        if n
-    ]
+    return [_segment(np.repeat(place[None], n, axis=0), Kind.RESTING)
+            for place, n in zip(places, split) if n]
 
 
-def _with_arcs(strokes: list[Run], approach: Array, count: int, step: float,
-               rng: np.random.Generator) -> list[Run]:
-    """Return the strokes with ``count`` samples in the air between them, or after the only one."""
+def _with_arcs(strokes: list[Segment], approach: Array, count: int, step: float,
+               rng: np.random.Generator) -> list[Segment]:
+    """Return the strokes with ``count`` samples on arcs between them, or after the only one."""
     gaps = max(len(strokes) - 1, 1)
-    # the hand moves some six times as fast through the air, so an arc of 0.1 m takes this many
+    # the hand is about six times faster in the air; the number of arcs of 0.1 m follows from that
     arcs = rng.permutation(gaps)[:max(round(count * 6.0 * step / 0.1), 1)]
     sizes = np.bincount(arcs[np.arange(count) % len(arcs)], minlength=gaps)
-    out: list[Run] = []
+    out: list[Segment] = []
     for k, stroke in enumerate(strokes):
         out.append(stroke)
         if k >= gaps or sizes[k] == 0:
@@ -192,24 +198,26 @@ def _with_arcs(strokes: list[Run], approach: Array, count: int, step: float,
         s = np.arange(1, sizes[k] + 1)[:, None] / (sizes[k] + 1.0)
         smooth = s * s * (3.0 - 2.0 * s)
         rise = 0.001 + rng.uniform(0.008, 0.04) * np.sin(np.pi * s)
-        arc = _run(a + (b - a) * smooth + rise * approach, Kind.LIFT_OFF)
+        arc = _segment(a + (b - a) * smooth + rise * approach, Kind.LIFT_OFF)
         arc.linked = True
         out.append(arc)
         if k + 1 < len(strokes):
-            strokes[k + 1].linked = True    # the hand goes on, nobody told the recorder
+            strokes[k + 1].linked = True    # the recording continues without a new stroke
     return out
 
 
-def _run(tips: Array, kind: Kind) -> Run:
-    return Run(tips, np.full(len(tips), kind, dtype=np.uint8), np.ones(len(tips)))
+def _segment(tips: Array, kind: Kind) -> Segment:
+    """Return a segment of samples of one kind, one tick apart."""
+    return Segment(tips, np.full(len(tips), kind, dtype=np.uint8), np.ones(len(tips)))
 
 
-def _with_strays(samples: Samples, bounds: Array, count: int, rng: np.random.Generator) -> Samples:
-    """Put ``count`` samples in at random moments, uniform in the model's box grown by 20 %."""
-    middle, half = bounds.mean(axis=0), 0.6 * np.ptp(bounds, axis=0)
-    strays = middle + rng.uniform(-1.0, 1.0, (count, 3)) * half
+def _insert_outliers(samples: Samples, bounds: Array, count: int,
+                     rng: np.random.Generator) -> Samples:
+    """Insert ``count`` outliers at random times, uniform in the box enlarged by 20 %."""
+    centre, half = bounds.mean(axis=0), 0.6 * np.ptp(bounds, axis=0)
+    outliers = centre + rng.uniform(-1.0, 1.0, (count, 3)) * half
     when = np.sort(rng.integers(1, len(samples.tips) + 1, count))
-    return Samples(np.insert(samples.tips, when, strays, axis=0),
+    return Samples(np.insert(samples.tips, when, outliers, axis=0),
                    np.insert(samples.kinds, when, np.uint8(Kind.UNIFORM)),
                    np.insert(samples.strokes, when, samples.strokes[when - 1]),
                    np.insert(samples.ticks, when, 1.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A patient who moves, and with him the bone and the reference array fixed to it."""
+"""The motion of a patient, and thus of the bone and the reference array."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from gsdf_registration.common.rigid import Array, from_rt, rotation_exp
 @dataclass(frozen=True)
 class Sway:
     """
-    A body that moves at constant speed and turns at constant rate, and yet stays in view.
+    A periodic motion with constant speed and constant angular velocity.
 
-    Its origin goes round a circle while its axis goes round a cone.  An axis that is tilted by a
-    and goes round at w turns the body at 2 w sin(a/2), for the rotation vector a e has the angular
-    velocity sin(a) e' + (1 - cos(a)) e x e' where its direction e moves at e' and a is constant.
+    The origin of the body moves on a circle, and its axis on a cone. If the axis is tilted by a and
+    moves around the cone at w, the body rotates at 2 w sin(a/2): the angular velocity of the
+    rotation vector a e with constant a is sin(a) e' + (1 - cos(a)) e x e'.
 
-    T_tracker_body : (4, 4) float64, m, where it is on average
-    speed : m/s
-    turn : rad/s
-    radius, tilt : m, rad, how far it gets from there
+    T_tracker_body : (4, 4) float64, m, mean pose
+    speed : float, m/s
+    turn : float, rad/s
+    radius, tilt : float, m and rad, largest deviation from the mean pose
     """
 
     T_tracker_body: Array = field(default_factory=lambda: np.eye(4))
@@ -32,7 +32,7 @@ class Sway:
     tilt: float = np.radians(15.0)
 
     def pose(self, time: float) -> Array:
-        """Return ``T_tracker_body`` (4, 4), m, at a time, s."""
+        """Return ``T_tracker_body`` (4, 4), m, at ``time``, s."""
         along = self.speed / self.radius * time
         about = self.turn / (2.0 * np.sin(0.5 * self.tilt)) * time
         tilt = rotation_exp(self.tilt * np.array([np.cos(about), np.sin(about), 0.0]))

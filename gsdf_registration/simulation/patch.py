@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of a bone that a wound exposes, and walks over it that never leave its triangles."""
+"""The part of a bone that an incision exposes, and paths over its triangles."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from gsdf_registration.common.numba_options import compiled
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 
-FACING = -0.3       # the cosine to the approach direction beyond which the tip cannot reach round
+FACING = -0.3       # smallest cosine between normal and approach at which the tip can touch
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
     """
-    A connected piece of a surface, made for walking; metres, bone frame.
+    A connected part of a surface, bone frame.
 
-    corners : (m, 3, 3) float64, the three corners of every triangle
-    normals : (m, 3) float64, unit, outward
+    corners : (m, 3, 3) float64, m, the three corners of each triangle
+    normals : (m, 3) float64, unit length, outward
     neighbours : (m, 3) int32, the triangle across the edge from corner i to i + 1; -1 at the border
     areas : (m,) float64, m^2
-    approach : (3,) float64, unit, from the bone toward the hand
-    bounds : (2, 3) float64, box of the whole model
+    approach : (3,) float64, unit length, from the bone toward the hand
+    bounds : (2, 3) float64, m, bounding box of the whole model
     """
 
     corners: Array
@@ -45,7 +45,7 @@ class Patch:
 
     def random_points(self, count: int,
                       rng: np.random.Generator) -> tuple[Array, NDArray[np.int64]]:
-        """Return points (count, 3) uniform over the surface and their triangles (count,)."""
+        """Return points (count, 3), uniformly distributed, and their triangles (count,)."""
         rising = np.cumsum(self.areas)
         face = np.minimum(np.searchsorted(rising, rng.random(count) * rising[-1]), len(rising) - 1)
         u, v = rng.random((2, count, 1))
@@ -57,9 +57,10 @@ class Patch:
 def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radius: float,
                   approach: ArrayLike | None = None) -> Patch:
     """
-    Return what a probe can reach.
+    Return the part of a surface that a probe can touch.
 
-    It is in a ball, faces the wound and is connected to what is nearest to ``centre``.
+    It is inside a sphere, faces the approach and is connected to the triangle nearest to
+    ``centre``.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radi
     Raises
     ------
     InputError
-        If no surface lies in the ball.
+        If fewer than ten triangles are in the sphere.
 
     """
     vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
@@ -85,10 +86,10 @@ def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radi
     kept = np.flatnonzero((away < radius) & (areas > 0.0) & (normals @ approach > FACING))
     if len(kept) < 10:
         raise InputError(
-            'there is hardly any bone in the region; give another centre or a larger radius')
+            'the region has too little bone; choose another centre or a larger radius')
     neighbours = _neighbours(faces[kept])
     one = _component(neighbours, int(np.argmin(away[kept])))
-    # the last entry serves index -1
+    # the last entry is for index -1
     renumbered = np.append(np.cumsum(one) - 1, -1).astype(np.int32)
     kept = kept[one]
     return Patch(corners[kept], normals[kept], renumbered[neighbours[one]], areas[kept], approach,
@@ -96,7 +97,7 @@ def exposed_patch(vertices: ArrayLike, faces: ArrayLike, centre: ArrayLike, radi
 
 
 def whole_surface(vertices: Array, faces: NDArray[np.int64]) -> Patch:
-    """Return a whole closed surface (vertices m, outward faces) as a patch, seen from above."""
+    """Return a closed surface, m, with outward faces as a patch; the approach is along z."""
     corners = vertices[faces]
     normals, areas = _normals_and_areas(corners)
     return Patch(corners, normals, _neighbours(faces), areas, np.array([0.0, 0.0, 1.0]),
@@ -106,20 +107,20 @@ def whole_surface(vertices: Array, faces: NDArray[np.int64]) -> Patch:
 def walk(patch: Patch, starts: Array, faces: NDArray[np.int64], headings: Array,
          strokes: NDArray[np.int64], steps: Array, turns: Array) -> tuple[Array, NDArray[np.int64]]:
     """
-    Walk over a patch along steered geodesics: straight across every edge, bouncing off the border.
+    Follow steered geodesics over a patch: straight across edges, reflected at the border.
 
     Parameters
     ----------
     patch : Patch
     starts : (k, 3) float, m, on the triangles ``faces`` (k,)
-    headings : (k,) float, rad, in the plane of the first triangle
-    strokes : (n,) int, rising, which start the sample belongs to
-    steps : (n,) float, m, from the sample before
-    turns : (n,) float, rad, taken before the step
+    headings : (k,) float, rad, initial directions in the plane of these triangles
+    strokes : (n,) int, rising, index of the start of each sample
+    steps : (n,) float, m, distance from the previous sample
+    turns : (n,) float, rad, change of direction before the step
 
     Returns
     -------
-    points : (n, 3) float, m, on the surface to rounding
+    points : (n, 3) float, m, on the surface up to rounding
     triangles : (n,) int
 
     """
@@ -131,13 +132,14 @@ def walk(patch: Patch, starts: Array, faces: NDArray[np.int64], headings: Array,
 
 
 def _normals_and_areas(corners: Array) -> tuple[Array, Array]:
+    """Return unit normals (m, 3) and areas (m,) of triangles (m, 3, 3)."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.linalg.norm(normals, axis=1)
     return normals / np.maximum(twice, 1e-300)[:, None], twice / 2.0
 
 
 def _neighbours(faces: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Return the triangle across each edge (m, 3); -1 where there is none, or more than one."""
+    """Return the triangle across each edge (m, 3); -1 if there is none or more than one."""
     edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     _, name, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(name.ravel(), kind='stable')
@@ -148,7 +150,7 @@ def _neighbours(faces: NDArray[np.int64]) -> NDArray[np.int32]:
 
 
 def _component(neighbours: NDArray[np.int32], seed: int) -> NDArray[np.bool_]:
-    """Return which triangles hang together with triangle ``seed``."""
+    """Return a mask of the triangles that are connected to triangle ``seed``."""
     n = len(neighbours)
     rows, columns = np.repeat(np.arange(n), 3), neighbours.ravel()
     real = columns >= 0
@@ -169,7 +171,7 @@ def _unit(a: Array) -> Array:
 
 
 @compiled
-def _turned(d: Array, n: Array, angle: float) -> Array:
+def _rotate(d: Array, n: Array, angle: float) -> Array:
     return _unit(math.cos(angle) * d + math.sin(angle) * _cross(n, d))
 
 
@@ -185,9 +187,9 @@ def _walk(corners: Array, normals: Array, neighbours: NDArray[np.int32], starts:
         if i == 0 or strokes[i] != strokes[i - 1]:
             f = faces[strokes[i]]
             p = starts[strokes[i]].copy()
-            d = _turned(_unit(corners[f, 1] - corners[f, 0]), normals[f], headings[strokes[i]])
+            d = _rotate(_unit(corners[f, 1] - corners[f, 0]), normals[f], headings[strokes[i]])
         else:
-            d = _turned(d, normals[f], turns[i])
+            d = _rotate(d, normals[f], turns[i])
             p, d, f = _step(corners, normals, neighbours, p, d, f, steps[i])
         points[i] = p
         triangles[i] = f
@@ -196,9 +198,9 @@ def _walk(corners: Array, normals: Array, neighbours: NDArray[np.int32], starts:
 @compiled
 def _step(corners: Array, normals: Array, neighbours: NDArray[np.int32], p: Array, d: Array, f: int,
           length: float) -> tuple[Array, Array, int]:
-    """Go ``length`` from ``p`` along ``d`` on triangle ``f``, over as many edges as it takes."""
+    """Move ``length`` from ``p`` along ``d`` on triangle ``f``, across any number of edges."""
     for _ in range(1000):
-        # the edge through which the line leaves: its outward normals in the plane are edge x normal
+        # find the edge that the line crosses; outward normals in the plane are edge x normal
         nearest = length
         leaving = -1
         out = d
@@ -220,7 +222,7 @@ def _step(corners: Array, normals: Array, neighbours: NDArray[np.int32], p: Arra
         if to < 0:
             d = _unit(d - 2.0 * np.dot(d, out) * out)
         else:
-            # unfold the next triangle about the edge: the part along stays, that across goes inward
+            # unfold the next triangle: the component along the edge is kept
             d = _unit(np.dot(d, along) * along + np.dot(d, out) * _cross(along, normals[to]))
             f = to
     return p, d, f

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distances to triangles by the book, independent of the package."""
+"""Point-to-triangle distances by brute force, independent of the package."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def distances(points: np.ndarray, corners: np.ndarray, within: float = 0.02) -> np.ndarray:
-    """Return the distance of points (n, 3) to triangles (m, 3, 3), exact up to ``within``."""
+    """Return distances (n,) from points (n, 3) to triangles (m, 3, 3), exact up to ``within``."""
     return np.array([_distance(p, corners[np.linalg.norm(corners[:, 0] - p, axis=1) < within])
                      for p in points])
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The bones are whole, of a bone's size, unlike their mirror images, and have the parts a bone has.
-"""
+"""Test the size, the topology and the anatomical features of the synthetic bones."""
 
 from __future__ import annotations
 
@@ -23,7 +21,8 @@ def load(path: Path) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize('name, extent, holes', [('hip', 220.0, 1), ('femur', 438.0, 0)])
-def test_whole_and_of_a_bones_size(bags: Path, name: str, extent: float, holes: int) -> None:
+def test_mesh_is_watertight_and_has_the_size_of_a_bone(bags: Path, name: str, extent: float,
+                                                       holes: int) -> None:
     mesh = load(bags / f'{name}.ply')
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0
     assert mesh.body_count == 1
@@ -35,7 +34,7 @@ def test_whole_and_of_a_bones_size(bags: Path, name: str, extent: float, holes: 
 
 
 @pytest.mark.parametrize('name', ['hip', 'femur'])
-def test_unlike_its_mirror_image(bags: Path, name: str) -> None:
+def test_mesh_differs_from_its_mirror_image(bags: Path, name: str) -> None:
     points = trimesh.sample.sample_surface(load(bags / f'{name}.ply'), 1500, seed=0)[0]
     points -= points.mean(axis=0)
     points = points @ np.linalg.svd(points, full_matrices=False)[2].T
@@ -45,13 +44,13 @@ def test_unlike_its_mirror_image(bags: Path, name: str) -> None:
 
 
 def fitted_rms(tree: cKDTree, moving: np.ndarray) -> float:
-    """Return what is left after ICP from the alignment of the principal axes."""
+    """Return the RMS distance after ICP from the initial alignment, mm."""
     for _ in range(40):
         moving = transform(fit_points(tree.data[tree.query(moving)[1]], moving), moving)
     return float(np.sqrt((tree.query(moving)[0] ** 2).mean()))
 
 
-def test_cup_is_hollow_and_round(hip_bone: Path) -> None:
+def test_acetabulum_is_a_hollow_sphere_with_a_fossa(hip_bone: Path) -> None:
     mesh = load(hip_bone)
     centres, normals = mesh.triangles_center, mesh.face_normals
     away = np.linalg.norm(centres, axis=1)
@@ -60,20 +59,20 @@ def test_cup_is_hollow_and_round(hip_bone: Path) -> None:
     area = mesh.area_faces[cup].sum()
     assert area > 0.5 * 2.0 * np.pi * hip.CUP_RADIUS**2     # more than half of a half sphere
     opens = (normals[cup] * mesh.area_faces[cup, None]).sum(axis=0)
-    assert opens @ hip.CUP_AXIS > 0.85 * np.linalg.norm(opens)      # the notch is missing below
+    assert opens @ hip.CUP_AXIS > 0.85 * np.linalg.norm(opens)      # the notch interrupts the cup
     floor = ((normals * inward).sum(axis=1) > 0.9) & (centres @ hip.CUP_AXIS < 0.0)
     fossa = floor & (away > hip.CUP_RADIUS + 0.8) & (away < 32.0)
     assert mesh.area_faces[fossa].sum() > 200.0
 
 
-def test_head_is_round_and_stands_on_a_neck(femur_bone: Path) -> None:
+def test_femoral_head_is_a_sphere_on_a_neck(femur_bone: Path) -> None:
     mesh = load(femur_bone)
     from_head = mesh.triangles_center - femur.HEAD
     away = np.linalg.norm(from_head, axis=1)
     head = (away < 1.05 * femur.HEAD_RADIUS) & (
         (mesh.face_normals * from_head).sum(axis=1) > 0.97 * away)
     assert mesh.area_faces[head].sum() > 0.6 * 4.0 * np.pi * femur.HEAD_RADIUS**2
-    # all but the bottom of the fovea
+    # except the bottom of the fovea
     assert (np.abs(away[head] - femur.HEAD_RADIUS) < 1.0).mean() > 0.99
     neck = mesh.section([1.0, 0.0, -1.0], np.array(femur.HEAD) + [25.0, -4.0, -22.0])
     assert neck is not None
@@ -81,7 +80,7 @@ def test_head_is_round_and_stands_on_a_neck(femur_bone: Path) -> None:
     assert 24.0 < min(widths) < 1.7 * femur.HEAD_RADIUS
 
 
-def test_join_and_carve_agree_with_sets_away_from_the_seam() -> None:
+def test_join_and_carve_equal_set_operations_away_from_the_blend() -> None:
     x = np.linspace(-30.0, 30.0, 61)
     p = (x, np.zeros(61), np.zeros(61))
     a = ellipsoid(p, (-5.0, 0.0, 0.0), (10.0, 10.0, 10.0))
@@ -93,7 +92,7 @@ def test_join_and_carve_agree_with_sets_away_from_the_seam() -> None:
     assert (carve(a, b, 2.0) >= difference).all() and (carve(a, b, 2.0) <= difference + 0.5).all()
 
 
-def test_polygon_is_a_signed_distance() -> None:
+def test_polygon_returns_the_signed_distance() -> None:
     square = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)]
     x, y = np.array([1.0, 3.0, 5.0, 1.9]), np.array([1.0, 1.0, 6.0, 0.5])
     np.testing.assert_allclose(polygon(x, y, square), [-1.0, 1.0, 5.0, -0.1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The patient moves as fast as is said, and stays."""
+"""Test the speed and the range of the simulated patient motion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gsdf_registration.common.rigid import angle_between, exp, is_rigid
 from gsdf_registration.simulation.moving import Sway
 
 
-def test_speed_and_turn_are_constant_and_as_said() -> None:
+def test_speed_and_angular_velocity_are_constant() -> None:
     sway = Sway(exp([0.4, -1.0, 0.3, 0.1, 0.2, -1.2]), 0.020, np.radians(10.0))
     step = 1e-3
     for time in np.linspace(0.0, 60.0, 50):
@@ -20,7 +20,7 @@ def test_speed_and_turn_are_constant_and_as_said() -> None:
         assert np.isclose(turn, np.radians(10.0), rtol=1e-5)
 
 
-def test_it_stays_near() -> None:
+def test_pose_stays_near_the_mean_pose() -> None:
     sway = Sway(radius=0.03)
     poses = np.array([sway.pose(time) for time in np.linspace(0.0, 300.0, 500)])
     assert np.linalg.norm(poses[:, :3, 3], axis=1).max() < 0.0301

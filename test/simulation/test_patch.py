@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Walks are straight, stay on their triangles and within the patch."""
+"""Test exposed patches and geodesics on them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BALL = trimesh.creation.icosphere(subdivisions=3)
 
 def straight(surface: trimesh.Trimesh, start: np.ndarray, heading: np.ndarray, length: float,
              samples: int) -> np.ndarray:
-    """Walk straight over a closed surface from ``start``, first along ``heading``."""
+    """Follow a geodesic on a closed surface from ``start`` in the direction ``heading``."""
     patch = whole_surface(np.asarray(surface.vertices), np.asarray(surface.faces))
     face = int(np.argmin(np.linalg.norm(patch.corners.mean(axis=1) - start, axis=1)))
     edge = patch.corners[face, 1] - patch.corners[face, 0]
@@ -28,16 +28,16 @@ def straight(surface: trimesh.Trimesh, start: np.ndarray, heading: np.ndarray, l
                 np.zeros(samples, dtype=np.int64), np.full(samples, length), np.zeros(samples))[0]
 
 
-def test_straight_round_the_corner_of_a_cube() -> None:
+def test_geodesic_around_a_cube() -> None:
     start = np.array([0.1, 0.05, 1.0])
     points = straight(CUBE, start, np.array([1.0, 0.0, 0.0]), 1.0, 9)
     np.testing.assert_allclose(points[1], [1.0, 0.05, 0.9], atol=1e-12)
     np.testing.assert_allclose(points[3], [0.9, 0.05, -1.0], atol=1e-12)
-    # all round: the cube's girth is 8
+    # back at the start, after the girth of the cube
     np.testing.assert_allclose(points[8], start, atol=1e-12)
 
 
-def test_straight_on_a_ball_is_nearly_a_great_circle() -> None:
+def test_geodesic_on_a_sphere_is_nearly_a_great_circle() -> None:
     start = BALL.triangles_center[200]
     points = straight(BALL, start, np.cross(start, [0.3, 0.2, 1.0]), 0.02, 200)
     normal = np.linalg.svd(points)[2][2]
@@ -46,7 +46,7 @@ def test_straight_on_a_ball_is_nearly_a_great_circle() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_walk_stays_on_the_exposed_surface(seed: int) -> None:
+def test_walk_stays_on_the_exposed_patch(seed: int) -> None:
     rng = np.random.default_rng(seed)
     vertices, faces = 0.03 * np.asarray(BALL.vertices), np.asarray(BALL.faces)
     patch = exposed_patch(vertices, faces, (0.0, 0.0, 0.03), 0.025)
@@ -62,7 +62,8 @@ def test_walk_stays_on_the_exposed_surface(seed: int) -> None:
     assert np.linalg.norm(points - [0.0, 0.0, 0.03], axis=1).max() < 0.03
 
 
-def test_exposed_is_near_facing_and_connected(hip_surface: tuple[np.ndarray, np.ndarray]) -> None:
+def test_exposed_patch_is_near_facing_and_connected(
+        hip_surface: tuple[np.ndarray, np.ndarray]) -> None:
     vertices, faces = hip_surface
     approach = np.array([0.745, 0.3, -0.596])
     patch = exposed_patch(vertices, faces, (0.0, 0.0, 0.0), 0.04, approach)
@@ -78,8 +79,8 @@ def test_default_approach_is_the_normal_at_the_centre() -> None:
     assert patch.approach @ [0.0, 1.0, 0.0] > 0.98
 
 
-def test_nothing_in_the_ball_is_refused() -> None:
-    with pytest.raises(InputError, match='hardly any bone'):
+def test_rejects_a_region_without_bone() -> None:
+    with pytest.raises(InputError, match='too little bone'):
         exposed_patch(np.asarray(BALL.vertices), np.asarray(BALL.faces), (9.0, 0.0, 0.0), 0.5)
 
 
