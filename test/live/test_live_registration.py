@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched
+from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched_points
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason
@@ -48,11 +48,11 @@ def hip(hip_bone: Path, cache: None) -> Field:
 
 
 @pytest.fixture(scope='module')
-def hip_steps(hip: Field, optical_run: tuple[Recording, Truth]) -> tuple[LiveRegistration,
+def hip_steps(hip: Field, optical_recording: tuple[Recording, Truth]) -> tuple[LiveRegistration,
                                                                          list[Step]]:
     """Return a live registration of a whole recording, and its steps."""
     live = LiveRegistration(hip, Config())
-    return live, run(live, optical_run[0].positions)
+    return live, run(live, optical_recording[0].positions)
 
 
 def points_of(positions: Array, stroke: int = 0) -> Points:
@@ -88,8 +88,8 @@ def error_of(pose: LivePose, truth: Array, field: Field) -> float:
 
 def test_every_pose_is_near_the_truth(
         hip_steps: tuple[LiveRegistration, list[Step]], hip: Field,
-        optical_run: tuple[Recording, Truth]) -> None:
-    truth = optical_run[1].T_tracker_bone
+        optical_recording: tuple[Recording, Truth]) -> None:
+    truth = optical_recording[1].T_tracker_bone
     _, steps = hip_steps
     errors = [error_of(step.pose, truth, hip) for step in steps if step.pose is not None]
     assert len(errors) > len(steps) // 2
@@ -115,12 +115,12 @@ def test_searches_only_a_few_times(
 
 def test_stays_ready_and_agrees_with_a_registration(
         hip_steps: tuple[LiveRegistration, list[Step]], hip: Field,
-        optical_run: tuple[Recording, Truth]) -> None:
+        optical_recording: tuple[Recording, Truth]) -> None:
     live, steps = hip_steps
     ready = [step.ready for step in steps]
     first = ready.index(True)
     assert all(ready[first:]) and steps[first].assessment.searched
-    result = register(optical_run[0].positions[:BATCH * (first + 1)], hip)
+    result = register(optical_recording[0].positions[:BATCH * (first + 1)], hip)
     assert result.success
     assert error_of(steps[first].pose, result.T_tracker_bone, hip) < 5e-5
     status = live.status()
@@ -129,8 +129,8 @@ def test_stays_ready_and_agrees_with_a_registration(
 
 
 def test_same_batches_give_bitwise_equal_poses(hip: Field,
-                                             optical_run: tuple[Recording, Truth]) -> None:
-    a, b = (run(LiveRegistration(hip, Config()), optical_run[0].positions[:240])
+                                             optical_recording: tuple[Recording, Truth]) -> None:
+    a, b = (run(LiveRegistration(hip, Config()), optical_recording[0].positions[:240])
             for _ in range(2))
     assert a[-1].pose is not None
     assert [m.pose and (m.pose.T_tracker_bone.tobytes(), m.pose.covariance.tobytes())
@@ -140,8 +140,8 @@ def test_same_batches_give_bitwise_equal_poses(hip: Field,
 
 
 def test_continues_from_the_previous_pose_after_points_were_dropped(
-        hip: Field, optical_run: tuple[Recording, Truth]) -> None:
-    recording, truth = optical_run
+        hip: Field, optical_recording: tuple[Recording, Truth]) -> None:
+    recording, truth = optical_recording
     live = LiveRegistration(hip, Config())
     displaced = transform(exp([0.0, 0.0, 0.0, 0.004, 0.004, 0.0]), recording.positions[100:200])
     run(live, np.concatenate([recording.positions[:300], displaced]))
@@ -160,9 +160,9 @@ def test_continues_from_the_previous_pose_after_points_were_dropped(
 
 
 def test_ignores_an_assessment_of_points_dropped_since(
-        hip: Field, optical_run: tuple[Recording, Truth]) -> None:
+        hip: Field, optical_recording: tuple[Recording, Truth]) -> None:
     live = LiveRegistration(hip, Config())
-    positions = optical_run[0].positions[:240]
+    positions = optical_recording[0].positions[:240]
     live.follow(1, points_of(positions))
     late = assess(live)
     assert late.trusted
@@ -172,20 +172,20 @@ def test_ignores_an_assessment_of_points_dropped_since(
 
 
 def test_has_no_pose_after_all_points_were_dropped(
-        hip: Field, optical_run: tuple[Recording, Truth]) -> None:
+        hip: Field, optical_recording: tuple[Recording, Truth]) -> None:
     live = LiveRegistration(hip, Config())
-    run(live, optical_run[0].positions[:240])
+    run(live, optical_recording[0].positions[:240])
     assert live.ready
     assert live.follow(2, points_of(np.zeros((0, 3)))) is None
     assert not live.ready and not live.search_due and live.status() == LiveStatus()
-    assert live.follow(2, points_of(optical_run[0].positions[:5])) is None
+    assert live.follow(2, points_of(optical_recording[0].positions[:5])) is None
     live.accept(assess(live))
     assert live.status().reason is Reason.TOO_FEW_POINTS
 
 
 def test_searches_after_points_were_replaced(
-        hip: Field, optical_run: tuple[Recording, Truth]) -> None:
-    recording, truth = optical_run
+        hip: Field, optical_recording: tuple[Recording, Truth]) -> None:
+    recording, truth = optical_recording
     live = LiveRegistration(hip, Config())
     run(live, recording.positions[:240])
     moved = exp([0.0, 0.0, 0.1, 0.003, 0.0, 0.002])
@@ -199,7 +199,7 @@ def test_searches_after_points_were_replaced(
 def test_is_never_ready_with_points_on_one_spherical_patch() -> None:
     radius = 0.03
     mesh = ball_mesh(np.full(3, radius), ((np.array([-1.0, 0.2, 0.4]), 0.4),))
-    positions = transform(T_TRACKER_BONE, touched(360, 0, 2e-4, 0.035, mesh))
+    positions = transform(T_TRACKER_BONE, touched_points(360, 0, 2e-4, 0.035, mesh))
     live = LiveRegistration(field_of(mesh), Config())
     steps = run(live, positions[np.argsort(positions[:, 0])])
     assert not any(step.ready for step in steps)
@@ -209,9 +209,9 @@ def test_is_never_ready_with_points_on_one_spherical_patch() -> None:
 
 
 def test_is_never_ready_on_the_wrong_bone(
-        femur_bone: Path, optical_run: tuple[Recording, Truth], cache: None) -> None:
+        femur_bone: Path, optical_recording: tuple[Recording, Truth], cache: None) -> None:
     live = LiveRegistration(load_model(str(femur_bone), 'mm'), Config())
-    steps = run(live, optical_run[0].positions[:400])
+    steps = run(live, optical_recording[0].positions[:400])
     assert not any(step.ready for step in steps)
     assert all(step.pose is None for step in steps[len(steps) // 2:])
     assert live.status().reason in (Reason.MODEL_MISMATCH, Reason.TOO_FEW_INLIERS)
@@ -220,7 +220,7 @@ def test_is_never_ready_on_the_wrong_bone(
 @pytest.fixture(scope='module')
 def small() -> tuple[Field, Array]:
     """Return a small bone and points on one side of it."""
-    return bone_field(), transform(T_TRACKER_BONE, touched(1200, 0, 2e-4))
+    return bone_field(), transform(T_TRACKER_BONE, touched_points(1200, 0, 2e-4))
 
 
 def test_isolated_points_do_not_change_the_pose(small: tuple[Field, Array]) -> None:

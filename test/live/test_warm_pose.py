@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points, with_model_error
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array, exp, inverse, transform
@@ -20,7 +20,7 @@ NEAR = exp([0.01, -0.01, 0.02, 0.0005, -0.0005, 0.001]) @ inverse(T_TRACKER_BONE
 @pytest.fixture(scope='module')
 def points() -> Array:
     """Return points in the order of a probe, each near the one before."""
-    seen = transform(T_TRACKER_BONE, touched(1200, 0, 2e-4))
+    seen = transform(T_TRACKER_BONE, touched_points(1200, 0, 2e-4))
     return seen[np.lexsort((seen[:, 1], np.round(seen[:, 0] / 0.002)))]
 
 
@@ -58,7 +58,7 @@ def test_covariance_decreases_as_points_are_added(points: Array) -> None:
 
 
 def test_keeps_the_correction_for_model_error_between_assessments() -> None:
-    seen = off_the_model(touched(1000, 0, 2e-4), 0, 4e-4, 0.012)
+    seen = with_model_error(touched_points(1000, 0, 2e-4), 0, 4e-4, 0.012)
     points = np.random.default_rng(0).permutation(transform(T_TRACKER_BONE, seen))
     pose = warm(points[:950])
     plain = solve(points[:950], bone_field(), NEAR, CONFIG.solver).T_bone_tracker
