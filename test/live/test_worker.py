@@ -195,11 +195,3 @@ def test_uses_changed_settings(recorder: Recorder, session: Session, worker: Liv
     worker.notify()
     recorder.wait_for(lambda: not worker.status.ready)
     assert worker.status.reason is not None
-
-
-def test_searches_again_after_a_refused_registration(recorder: Recorder, session: Session,
-                                                     worker: LiveWorker) -> None:
-    fill(session)
-    recorder.wait_for(lambda: worker.status.ready)
-    worker.registration_finished(False)
-    recorder.wait_for(lambda: not worker.status.ready)
