@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bone like a potato, and an operator who touches it."""
+"""A small asymmetric bone, and the actions of an operator on a session."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import trimesh
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array, exp, transform
-from gsdf_registration.common.samples import Rejection
+from gsdf_registration.common.samples import Rejection, Sample
 from gsdf_registration.field import Field, build_field
 from gsdf_registration.mesh.bone import make_bone
 from gsdf_registration.session import Session
@@ -23,7 +23,7 @@ CONFIG = Config.from_flat({'landmarks.names': ['x', 'y', 'z'],
 
 
 def bone(width: float = 0.03) -> Field:
-    """Return a bone like a potato: no two of its sides are alike."""
+    """Return an ellipsoid with a bump, so that no two of its sides are alike."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     vertices = ball.vertices * [width, 0.045, 0.07]
     vertices *= 1.0 + 0.15 * np.exp(-20.0 * (
@@ -31,27 +31,44 @@ def bone(width: float = 0.03) -> Field:
     return build_field(make_bone(vertices, ball.faces), 0.002)
 
 
-def touched(field: Field, count: int = 300) -> Array:
-    """Return points of the surface, far from one another from one to the next."""
+def sample(stamp: float, position: Any, frame_id: str = 'cam', topic: str = '/probe/tip',
+           **more: Any) -> Sample:
+    x, y, z = map(float, position)
+    return Sample(stamp, (x, y, z), frame_id, topic, **more)
+
+
+def surface_points(field: Field, count: int = 300) -> Array:
+    """Return points of the surface in the tracker frame, each far from the one before."""
     rows = np.linspace(0, len(field.surface_points) - 1, count).astype(int)
     return transform(T_TRACKER_BONE, field.surface_points[rows].astype(np.float64))
 
 
-def send(session: Session,
-         points: Array,
-         start: float = 0.0,
+def surface_point(field: Field, row: int) -> Array:
+    return transform(T_TRACKER_BONE, field.surface_points[row].astype(np.float64))
+
+
+def send(session: Session, points: Array, start: float = 0.0,
          **more: Any) -> list[Rejection | None]:
-    """Send points slowly enough for the speed gate."""
-    return [session.add_point(start + i, point, 'cam', **more) for i, point in enumerate(points)]
+    """Send points slowly enough for the speed check."""
+    return [session.add(sample(start + i, point, **more)) for i, point in enumerate(points)]
 
 
 def hold(session: Session, point: Array, start: float, **more: Any) -> float:
+    """Send the same point for a while; return the time after it."""
     for i in range(50):
-        session.add_point(start + i / RATE, point, 'cam', **more)
+        session.add(sample(start + i / RATE, point, **more))
     return start + 51 / RATE
 
 
-def landmarked(field: Field | None, config: Config = CONFIG) -> Session:
+def hold_noisy(session: Session, point: Array, start: float, seconds: float = 1.0) -> float:
+    """Send a stationary tip with tracker noise; return the time after it."""
+    noise = np.random.default_rng(int(start)).normal(0.0, 1e-4, (round(seconds * RATE), 3))
+    for i, reading in enumerate(point + noise):
+        session.add(sample(start + i / RATE, reading))
+    return start + len(noise) / RATE
+
+
+def with_landmarks(field: Field | None, config: Config = CONFIG) -> Session:
     """Return a session with all landmarks captured."""
     session = Session(config, field)
     time = 0.0
@@ -62,20 +79,7 @@ def landmarked(field: Field | None, config: Config = CONFIG) -> Session:
 
 
 def registered(field: Field) -> Session:
-    session = landmarked(field)
-    send(session, touched(field), start=100.0)
+    session = with_landmarks(field)
+    send(session, surface_points(field), start=100.0)
     assert session.register().success
     return session
-
-
-def rest(session: Session, point: Array, start: float, seconds: float = 1.0) -> float:
-    """Hold the tip as a tracker sees it, no two readings alike; return the time after it."""
-    readings = point + np.random.default_rng(int(start)).normal(0.0, 1e-4,
-                                                                (round(seconds * RATE), 3))
-    for i, reading in enumerate(readings):
-        session.add_point(start + i / RATE, reading, 'cam')
-    return start + len(readings) / RATE
-
-
-def on_surface(field: Field, row: int) -> Array:
-    return transform(T_TRACKER_BONE, field.surface_points[row].astype(np.float64))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording gives the same bits every time, and what the session would give."""
+"""The replay of a recording: reproducible to the bit, with strokes, frames and rejections."""
 
 from __future__ import annotations
 
@@ -42,19 +42,21 @@ def recording(field: Field, **more: object) -> Recording:
         })
 
 
-def test_the_same_bits_twice(field: Field) -> None:
+def test_two_replays_are_equal_to_the_bit(field: Field) -> None:
     guess = T_TRACKER_BONE @ exp([0.02, -0.02, 0.02, 0.002, 0.001, 0.0])
     (a, _), (b, _) = (replay(recording(field), field, T_tracker_bone=guess) for _ in range(2))
     assert a.success and a.T_tracker_bone.tobytes() == b.T_tracker_bone.tobytes()
     assert a.residuals_m.tobytes() == b.residuals_m.tobytes()
 
 
-@pytest.mark.parametrize(('run', 'mesh'), [('optical_run', 'hip_bone'), ('em_run', 'femur_bone')])
-def test_shipped_recordings_lead_to_the_truth(run: str, mesh: str, request: pytest.FixtureRequest,
-                                              tmp_path: Path,
-                                              monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(('name', 'mesh'), [('optical_recording', 'hip_bone'),
+                                            ('em_recording', 'femur_bone')])
+def test_finds_the_true_pose_of_the_shipped_recordings(name: str, mesh: str,
+                                                       request: pytest.FixtureRequest,
+                                                       tmp_path: Path,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
-    recorded, truth = request.getfixturevalue(run)
+    recorded, truth = request.getfixturevalue(name)
     bone = load_model(str(request.getfixturevalue(mesh)), truth.model_unit)
     pairs = (truth.landmarks_model, truth.landmarks_tracker)
     (result, session), (again, _) = (replay(recorded, bone, landmarks=pairs) for _ in range(2))
@@ -63,13 +65,13 @@ def test_shipped_recordings_lead_to_the_truth(run: str, mesh: str, request: pyte
     assert result.covariance.tobytes() == again.covariance.tobytes()
     assert np.degrees(angle_between(result.T_tracker_bone[:3, :3],
                                     truth.T_tracker_bone[:3, :3])) < 1.0
-    touched = recorded.positions.mean(axis=0)
-    moved = transform(truth.T_tracker_bone @ result.T_bone_tracker, touched) - touched
+    centroid = recorded.positions.mean(axis=0)
+    moved = transform(truth.T_tracker_bone @ result.T_bone_tracker, centroid) - centroid
     assert np.linalg.norm(moved) < 1e-3
     assert session.status().frame_id == truth.frame_id
 
 
-def test_what_the_recording_dropped_is_counted(field: Field) -> None:
+def test_counts_the_points_that_the_recording_dropped(field: Field) -> None:
     quality = np.full(200, 0.0001)
     quality[[3, 4]] = 0.01
     positions = recording(field).positions
@@ -82,7 +84,7 @@ def test_what_the_recording_dropped_is_counted(field: Field) -> None:
         'tracking_state': 12, 'poor_quality': 2, 'not_finite': 1}
 
 
-def test_strokes_of_the_recording_are_kept(field: Field) -> None:
+def test_keeps_the_strokes_of_the_recording(field: Field) -> None:
     strokes = np.repeat([7, 3, 9, 3], 50)
     config = Config.from_flat({'gate.max_gap': 100.0, 'collect.automatic': False})
     _, session = replay(recording(field, strokes=strokes),
@@ -92,22 +94,22 @@ def test_strokes_of_the_recording_are_kept(field: Field) -> None:
     assert session.points().strokes.tolist() == np.repeat([1, 2, 3, 4], 50).tolist()
 
 
-def test_a_recording_without_stamps_is_refused(field: Field) -> None:
+def test_rejects_a_recording_without_stamps(field: Field) -> None:
     with pytest.raises(InputError, match='no stamps'):
         replay(recording(field, stamps=None), field)
 
 
-def test_an_empty_recording_is_a_refusal(field: Field) -> None:
+def test_refuses_an_empty_recording(field: Field) -> None:
     result, _ = replay(Recording(positions=np.zeros((0, 3)), stamps=np.zeros(0)), field)
     assert not result.success and result.received == 0
 
 
-SWAY = Sway(exp([0.3, -0.2, 0.5, 0.05, -0.1, -1.1]))      # the array, some 0.15 m from the bone
-STEP = 1.0 / 80.0       # s, from one point to the next
+SWAY = Sway(exp([0.3, -0.2, 0.5, 0.05, -0.1, -1.1]))      # of the array, about 0.15 m from the bone
+STEP = 1.0 / 80.0       # s, between two points
 
 
 def moving(field: Field, hidden: tuple[float, float] = (0.0, 0.0)) -> Recording:
-    """Return `recording` as seen while the bone moves with its array, not seen while ``hidden``."""
+    """Return `recording` of a bone that moves with its array, which is hidden for a while."""
     still = recording(field)
     points = transform(inverse(SWAY.T_tracker_body), still.positions)
     stamps = 1.7e9 + STEP * np.arange(200)
@@ -121,7 +123,7 @@ def moving(field: Field, hidden: tuple[float, float] = (0.0, 0.0)) -> Recording:
 WITH_ARRAY = Config.from_flat({'reference.topic': '/array', 'gate.max_speed': 100.0})
 
 
-def test_a_bone_that_moves_with_its_array_is_found_as_if_it_were_still(field: Field) -> None:
+def test_finds_a_resultbone_with_a_reference_array(field: Field) -> None:
     guess = T_TRACKER_BONE @ exp([0.02, -0.02, 0.02, 0.002, 0.001, 0.0])
     T_array_tracker = inverse(SWAY.T_tracker_body)
     still, _ = replay(recording(field), field, T_tracker_bone=guess)
@@ -137,21 +139,21 @@ def test_a_bone_that_moves_with_its_array_is_found_as_if_it_were_still(field: Fi
     assert result.T_tracker_bone.tobytes() == again.T_tracker_bone.tobytes()
 
 
-def test_points_for_which_the_array_was_not_seen_are_counted(field: Field) -> None:
+def test_counts_points_without_a_pose_of_the_array(field: Field) -> None:
     _, session = replay(moving(field, hidden=(0.5, 1.5)), field, WITH_ARRAY)
     status = session.status()
     assert status.received == 200 == status.kept + status.rejected['no_reference']
     assert status.rejected['no_reference'] == 81
 
 
-def test_a_recording_without_the_array_says_so(field: Field,
+def test_reports_a_recording_without_the_array(field: Field,
                                                caplog: pytest.LogCaptureFixture) -> None:
     result, session = replay(recording(field), field, WITH_ARRAY)
     assert not result.success and session.status().rejected['no_reference'] == 200
     assert '/array' in caplog.text
 
 
-def test_a_recording_of_a_loop_is_one_session_of_its_last_round(
+def test_a_looped_recording_gives_its_last_pass(
         field: Field, caplog: pytest.LogCaptureFixture) -> None:
     once = recording(field)
     twice = recording(field, positions=np.tile(once.positions, (2, 1)),
@@ -163,7 +165,7 @@ def test_a_recording_of_a_loop_is_one_session_of_its_last_round(
     assert 'went back by 2.5 s' in caplog.text
 
 
-def test_points_of_another_frame_are_brought_into_that_of_the_session(field: Field) -> None:
+def test_transforms_points_into_the_session_frame(field: Field) -> None:
     once = recording(field)
     T = exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     fixed = Motion(0, 0.0, T, 'world', 'tracker', True)
@@ -173,11 +175,11 @@ def test_points_of_another_frame_are_brought_into_that_of_the_session(field: Fie
     np.testing.assert_allclose(session.points().positions, transform(T, once.positions))
 
 
-def test_a_bag_of_a_moving_bone_leads_to_the_truth_as_the_still_one_does(
-        optical_run: tuple[Recording, Truth], hip_bone: Path, tmp_path: Path,
+def test_finds_the_true_pose_from_a_bag_with_a_resultbone(
+        optical_recording: tuple[Recording, Truth], hip_bone: Path, tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
-    recorded, truth = optical_run
+    recorded, truth = optical_recording
     sway = Sway(truth.T_tracker_bone @ exp([0.2, 0.1, 0.0, 0.1, 0.0, 0.1]))
     T_array_tracker = inverse(sway.T_tracker_body)
     rng = np.random.default_rng(0)
@@ -192,11 +194,11 @@ def test_a_bag_of_a_moving_bone_leads_to_the_truth_as_the_still_one_does(
     field = load_model(str(hip_bone), truth.model_unit)
     still, _ = replay(recorded, field,
                       landmarks=(truth.landmarks_model, truth.landmarks_tracker))
-    moving_, session = replay(
+    result, session = replay(
         read_bag(tmp_path / 'moving', reference='/array'), field, WITH_ARRAY, landmarks=(
             truth.landmarks_model, transform(T_array_tracker, truth.landmarks_tracker)))
-    assert moving_.success and session.status().rejected['no_reference'] == 0
+    assert result.success and session.status().rejected['no_reference'] == 0
     places = np.vstack([truth.landmarks_model, np.zeros((1, 3))])
-    off = transform(sway.T_tracker_body @ moving_.T_tracker_bone, places) - transform(
+    off = transform(sway.T_tracker_body @ result.T_tracker_bone, places) - transform(
         still.T_tracker_bone, places)
     assert np.linalg.norm(off, axis=1).max() < 1e-4

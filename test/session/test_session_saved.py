@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A session that is saved and taken up again."""
+"""A session that is saved and loaded."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def test_a_session_survives_json(field: Field) -> None:
     assert np.array_equal(other.register().T_tracker_bone, session.register().T_tracker_bone)
 
 
-def test_what_is_not_known_is_null_and_comes_back(field: Field,
-                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_values_are_saved_as_null(field: Field,
+                                          monkeypatch: pytest.MonkeyPatch) -> None:
     result = RegistrationResult(Reason.CONVERGED,
                                 'found',
                                 T_tracker_bone=np.eye(4),
@@ -51,11 +51,13 @@ def test_what_is_not_known_is_null_and_comes_back(field: Field,
     session.register()
     record = json.loads(json.dumps(session.to_dict(), allow_nan=False))
     session.restore(record)
-    assert session.status().result == dataclasses.replace(
-        result, sigma_m=None, T_tracker_bone=session.status().result.T_tracker_bone)
+    loaded = session.status().result
+    assert loaded == dataclasses.replace(
+        result, sigma_m=None, T_tracker_bone=loaded.T_tracker_bone, residuals_m=loaded.residuals_m,
+        weights=loaded.weights)
 
 
-def test_a_session_of_another_bone_is_refused(field: Field) -> None:
+def test_rejects_a_session_of_another_bone(field: Field) -> None:
     record = registered(field).to_dict()
     with pytest.raises(InputError, match='another bone'):
         Session(CONFIG, bone(width=0.035)).restore(record)
@@ -77,8 +79,8 @@ def test_a_session_of_another_bone_is_refused(field: Field) -> None:
     lambda r: r['result'].update(T_tracker_bone=None),
     lambda r: r['pose_result'].update(covariance=[1.0])
 ])
-def test_a_damaged_session_is_refused_and_changes_nothing(field: Field,
-                                                          damage: Callable[[Any], Any]) -> None:
+def test_rejects_a_damaged_session_and_keeps_its_state(field: Field,
+                                                       damage: Callable[[Any], Any]) -> None:
     session = registered(field)
     record = copy.deepcopy(json.loads(json.dumps(session.to_dict())))
     damage(record)

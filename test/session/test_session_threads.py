@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points come in, and the operator goes on, while a registration runs."""
+"""Points are added, and the operator works on, while a registration runs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from session_fixtures import CONFIG, bone, landmarked, send, touched
+from session_fixtures import CONFIG, bone, send, surface_points, with_landmarks
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, RegistrationResult
@@ -20,7 +20,7 @@ from gsdf_registration.session import session as session_module
 
 
 class Paused:
-    """A `register` that waits to be released, and knows whether it was cancelled."""
+    """A `register` that waits for its release, and records whether it was cancelled."""
 
     def __init__(self) -> None:
         self.running, self.release, self.cancelled = threading.Event(), threading.Event(), False
@@ -44,7 +44,7 @@ def paused(monkeypatch: pytest.MonkeyPatch) -> Paused:
 
 
 def in_thread(job: Callable[[], Any]) -> Callable[[], Any]:
-    """Start a job and return what waits for its result."""
+    """Start a job; return a function that waits for its result."""
     results: list[Any] = []
     thread = threading.Thread(target=lambda: results.append(job()))
     thread.start()
@@ -56,25 +56,25 @@ def in_thread(job: Callable[[], Any]) -> Callable[[], Any]:
     return result
 
 
-def test_points_come_in_while_it_runs_and_are_not_in_it(field: Field, paused: Paused) -> None:
+def test_points_added_during_a_registration_are_not_used(field: Field, paused: Paused) -> None:
     session = Session(CONFIG, field)
-    send(session, touched(field, 40))
+    send(session, surface_points(field, 40))
     result = in_thread(session.register)
     assert paused.running.wait(10.0)
     assert session.status().state == 'solving'
-    assert send(session, touched(field, 40), start=100.0)[-1] is None
+    assert send(session, surface_points(field, 40), start=100.0)[-1] is None
     assert session.status().kept == 80
     paused.release.set()
     assert result().used == 40
     assert session.status().state == 'registered' and len(session.registered_points().stamps) == 40
 
 
-def test_a_second_one_is_answered_at_once(field: Field, paused: Paused) -> None:
+def test_refuses_a_second_registration_at_once(field: Field, paused: Paused) -> None:
     session = Session(CONFIG, field)
     first = in_thread(session.register)
     assert paused.running.wait(10.0)
     second = session.register()
-    assert not second.success and 'running already' in second.message
+    assert not second.success and 'already running' in second.message
     assert session.status().state == 'solving'
     paused.release.set()
     assert first().success and session.status().result is not second
@@ -82,10 +82,10 @@ def test_a_second_one_is_answered_at_once(field: Field, paused: Paused) -> None:
 
 @pytest.mark.parametrize('disturb', [lambda s: s.clear(), lambda s: s.undo(),
                                      lambda s: s.set_model(bone(width=0.04))])
-def test_its_result_is_void_when_points_or_model_were_dropped(
+def test_cancels_when_points_or_model_are_dropped(
         field: Field, paused: Paused, disturb: Callable[[Session], Any]) -> None:
     session = Session(CONFIG, field)
-    send(session, touched(field, 40))
+    send(session, surface_points(field, 40))
     result = in_thread(session.register)
     assert paused.running.wait(10.0)
     disturb(session)
@@ -94,12 +94,12 @@ def test_its_result_is_void_when_points_or_model_were_dropped(
     assert session.status().pose_result is None and session.status().state == 'collecting'
 
 
-def test_a_fault_in_the_solver_does_not_block_the_next(field: Field,
+def test_an_error_does_not_block_the_next_registration(field: Field,
                                                        monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> RegistrationResult:
         raise MemoryError
-    session = landmarked(field)
-    send(session, touched(field), start=100.0)
+    session = with_landmarks(field)
+    send(session, surface_points(field), start=100.0)
     with monkeypatch.context() as patched:
         patched.setattr(session_module, 'register', broken)
         with pytest.raises(MemoryError):
@@ -107,12 +107,12 @@ def test_a_fault_in_the_solver_does_not_block_the_next(field: Field,
     assert session.register().success
 
 
-def test_many_threads_lose_no_point(field: Field) -> None:
-    session = landmarked(field)
+def test_concurrent_senders_lose_no_points(field: Field) -> None:
+    session = with_landmarks(field)
     before = session.status().received
-    points = touched(field, 200)
+    points = surface_points(field, 200)
     senders = [
-        in_thread(lambda source=f'probe{k}': send(session, points, start=100.0, source=source))
+        in_thread(lambda topic=f'probe{k}': send(session, points, start=100.0, topic=topic))
         for k in range(4)
     ]
     results = [session.register() for _ in range(5)]
