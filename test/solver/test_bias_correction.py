@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched
+from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
@@ -20,7 +20,7 @@ T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
 def solved(sigma: Array | float, seed: int = 0, n: int = 1000) -> tuple[Solution, Array]:
     """Return a solution and its points, with noise ``sigma``, m, along each axis of the tracker."""
     noise = sigma * np.random.default_rng(seed).normal(size=(n, 3))
-    points = rigid.transform(T_TRACKER_BONE, touched(n, seed)) + noise
+    points = rigid.transform(T_TRACKER_BONE, touched_points(n, seed)) + noise
     return solve(points, bone_field(), T_BONE_TRACKER, CONFIG), points
 
 
@@ -48,7 +48,7 @@ def test_removes_the_outward_bias_of_the_pose_on_a_curved_bone() -> None:
     field = field_of(mesh)
     before, after = np.zeros(3), np.zeros(3)
     for seed in range(40):
-        solution = solve(touched(600, seed, 8e-4, 0.014, mesh), field, np.eye(4), CONFIG)
+        solution = solve(touched_points(600, seed, 8e-4, 0.014, mesh), field, np.eye(4), CONFIG)
         before += uncorrected(solution)[:3, 3] / 40.0
         after += solution.T_bone_tracker[:3, 3] / 40.0
     # variance over radius is 53 um; the bias points to the side touched, +x

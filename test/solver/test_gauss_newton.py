@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from smooth_bone import bone_field, touched
+from smooth_bone import bone_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.rigid import Array
@@ -88,7 +88,7 @@ def test_jacobian_is_the_derivative_of_the_residual_along_update(seed: int) -> N
 @given(seeds)
 @LAW
 def test_jacobian_is_the_derivative_on_a_bone(seed: int) -> None:
-    points = touched(200, seed % 20)
+    points = touched_points(200, seed % 20)
     centre = points.mean(axis=0)
     R, _ = pose_of(seed, 0.01)
     points, t = points - centre, centre.copy()
@@ -145,7 +145,7 @@ def test_rotation_stays_orthonormal_after_a_thousand_steps() -> None:
 
 
 def test_linearize_skips_points_that_are_not_kept() -> None:
-    points = touched(50)
+    points = touched_points(50)
     keep = np.arange(50) % 2 == 0
     e, J = np.full(50, 7.0), np.full((50, 6), 7.0)
     linearize(bone_field().arrays, points, np.eye(3), np.zeros(3), keep, e, J)

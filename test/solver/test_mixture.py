@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import expit
 from scipy.stats import norm
-from smooth_bone import T_TRACKER_BONE, bone_field, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
@@ -58,7 +58,7 @@ def near(points: Array, seed: int, degrees: float = 3.0, metres: float = 0.002) 
 
 def measured(n: int = 1000, soft: int = 0, seed: int = 0) -> Array:
     """Return noisy points, ``soft`` of them in one patch 2-5 mm off the bone; tracker frame."""
-    points = touched(n, seed, 3e-4)
+    points = touched_points(n, seed, 3e-4)
     _, gradient = bone_field().sample(points)
     there = np.argsort(np.linalg.norm(points - points[0], axis=1))[:soft]
     off = 0.002 + 0.003 * np.sin(40.0 * points[there, 1]) ** 2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from smooth_bone import T_TRACKER_BONE, bone_field, off_the_model, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points, with_model_error
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
@@ -37,8 +37,9 @@ def measured(seed: int, error: float = ERROR, n: int = 800) -> Array:
 
     Most of them lie close together, as points of strokes do.
     """
-    points = np.concatenate([touched(3 * n // 4, seed, radius=0.02), touched(n - 3 * n // 4, seed)])
-    points = off_the_model(points, seed, error, LENGTH)
+    points = np.concatenate([touched_points(3 * n // 4, seed, radius=0.02),
+                             touched_points(n - 3 * n // 4, seed)])
+    points = with_model_error(points, seed, error, LENGTH)
     noise = SIGMA * np.random.default_rng(seed).normal(size=(n, 3))
     return np.asarray(rigid.transform(T_TRACKER_BONE, points + noise))
 

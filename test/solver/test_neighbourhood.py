@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from smooth_bone import T_TRACKER_BONE, bone_field, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.rigid import Array
@@ -18,7 +18,7 @@ T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
 
 
 def noisy(n: int, seed: int = 0) -> Array:
-    return rigid.transform(T_TRACKER_BONE, touched(n, seed, 1e-3))
+    return rigid.transform(T_TRACKER_BONE, touched_points(n, seed, 1e-3))
 
 
 @given(st.integers(0, 20), st.integers(1, 60), st.lists(st.integers(0, 40), max_size=6),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from smooth_bone import T_TRACKER_BONE, bone_field, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
@@ -57,7 +57,7 @@ def difference(a: Array, b: Array) -> float:
 
 def mixed(n: int = 400, outliers: int = 60, seed: int = 0) -> Array:
     """Return noisy points, the last of them 4-15 mm off the bone; tracker frame."""
-    points = touched(n, seed, 3e-4)
+    points = touched_points(n, seed, 3e-4)
     _, gradient = bone_field().sample(points)
     off = np.random.default_rng(seed).uniform(0.004, 0.015, outliers)
     points[n - outliers:] += off[:, None] * gradient[n - outliers:]
@@ -66,7 +66,7 @@ def mixed(n: int = 400, outliers: int = 60, seed: int = 0) -> Array:
 
 def test_stays_at_the_true_pose_without_noise() -> None:
     for seed in range(5):
-        solution = solve(in_tracker(touched(500, seed)), bone_field(), T_BONE_TRACKER, PAPER)
+        solution = solve(in_tracker(touched_points(500, seed)), bone_field(), T_BONE_TRACKER, PAPER)
         assert solution.converged
         # a field with 1 mm voxels has errors of a few um at the edges of triangles
         assert difference(solution.T_bone_tracker, T_BONE_TRACKER) < 5e-6
@@ -75,7 +75,7 @@ def test_stays_at_the_true_pose_without_noise() -> None:
 @given(seeds)
 @LAW
 def test_converges_from_a_nearby_pose(seed: int) -> None:
-    points = in_tracker(touched(500, seed % 10))
+    points = in_tracker(touched_points(500, seed % 10))
     solution = solve(points, bone_field(), near(seed), PAPER)
     assert solution.converged and solution.termination == 'converged'
     assert difference(solution.T_bone_tracker, T_BONE_TRACKER) < 2e-5
@@ -87,7 +87,7 @@ def test_converges_from_a_nearby_pose(seed: int) -> None:
                                  [-0.18, -0.17, -0.17]])
 def test_converges_from_300_mm_away_with_a_wide_weight(way: list[float]) -> None:
     away = rigid.exp([0.0, 0.0, 0.0, *way]) @ T_BONE_TRACKER
-    points = in_tracker(touched(600, radius=1.0))
+    points = in_tracker(touched_points(600, radius=1.0))
     wide = dataclasses.replace(PAPER, cauchy_scale=0.05)
     with parameters(DISCARD_BELOW=0.0, WEIGHT_TOLERANCE=1e-6):
         near_by = solve(points, bone_field(), away, wide)
@@ -147,13 +147,13 @@ def test_convergence_must_hold_in_consecutive_iterations() -> None:
     iterations = []
     for hold in (1, 2, 3, 5):
         with parameters(HOLD=hold, DISCARD_BELOW=0.0):
-            solution = solve(in_tracker(touched(300, 1, 3e-4)), bone_field(), near(5), PAPER)
+            solution = solve(in_tracker(touched_points(300, 1, 3e-4)), bone_field(), near(5), PAPER)
         iterations.append(solution.iterations)
     assert np.diff(iterations).tolist() == [1, 1, 2]
 
 
 def test_reports_why_it_stopped() -> None:
-    points = in_tracker(touched(300, 1, 3e-4))
+    points = in_tracker(touched_points(300, 1, 3e-4))
     short = solve(points, bone_field(), near(5), dataclasses.replace(PAPER, max_iterations=2))
     assert (short.converged, short.iterations) == (False, 2)
     assert short.termination == 'the maximum number of iterations was reached'
@@ -164,7 +164,7 @@ def test_reports_why_it_stopped() -> None:
 
 
 def test_history_has_a_row_per_iteration_and_decreasing_cost() -> None:
-    points = in_tracker(touched(500, 2, 3e-4))
+    points = in_tracker(touched_points(500, 2, 3e-4))
     solution = solve(points, bone_field(), near(6), PAPER, history=True)
     assert len(solution.history) == solution.iterations > 2
     assert solve(points, bone_field(), near(6), PAPER).history == ()
