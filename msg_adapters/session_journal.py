@@ -183,7 +183,7 @@ def read_journal(path: Path, apply: Callable[[str, Any], None]) -> str | None:
     """
     try:
         _check_not_in_use(path)
-        *lines, _ = path.read_bytes().split(b'\n')     # the last line, without an end, is incomplete
+        *lines, _ = path.read_bytes().split(b'\n')     # a line without an end is incomplete
     except FileNotFoundError:
         return None
     except OSError as error:

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Session files: round trip, readable layout, damage, and faults while writing."""
 
 import operator
 import os
@@ -23,7 +24,7 @@ PLAIN = st.recursive(st.none() | st.booleans() | st.integers(-2**53, 2**53)
 
 @settings(deadline=None, max_examples=40)
 @given(st.dictionaries(st.text(max_size=9), PLAIN, max_size=5))
-def test_a_session_comes_back_as_it_was(tmp_path_factory, session):
+def test_round_trip(tmp_path_factory, session):
     for key in ('schema', 'saved'):
         session.pop(key, None)
     path = tmp_path_factory.mktemp('session') / 's.json'
@@ -33,7 +34,7 @@ def test_a_session_comes_back_as_it_was(tmp_path_factory, session):
     assert read == {'schema': 'gsdf-session/2', **session}
 
 
-def test_a_point_is_a_line_and_a_person_can_read_it(tmp_path):
+def test_writes_one_point_per_line(tmp_path):
     path = tmp_path / 's.json'
     write_session(path, {'frames': {'points': 'tracker'}, 'landmarks': [], 'rejected': {},
                          'landmark': [{'name': 'x', 'model': [0.1, 0.2, 0.3]}],
@@ -58,26 +59,26 @@ def test_a_point_is_a_line_and_a_person_can_read_it(tmp_path):
         '}']
 
 
-@pytest.mark.parametrize('content, words', [
+@pytest.mark.parametrize('content, message', [
     (b'', 'is empty'),
     (b'{"schema": "gsdf-session/2", "points": [1, 2', 'not valid JSON'),
     (b'[' * 100_000, 'not valid JSON'),
     (b'\xff\xfe{}', 'not UTF-8'),
-    (b'[]', 'no session'),
-    (b'{"schema": "gsdf-session/1"}', 'no session'),
-    (b'{}', 'no session'),
+    (b'[]', 'not a session'),
+    (b'{"schema": "gsdf-session/1"}', 'not a session'),
+    (b'{}', 'not a session'),
 ])
-def test_what_is_no_session_is_said(tmp_path, content, words):
+def test_rejects_other_files(tmp_path, content, message):
     path = tmp_path / 's.json'
     path.write_bytes(content)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         read_session(path)
     with pytest.raises(InputError, match='does not exist'):
         read_session(tmp_path / 'none.json')
 
 
 @pytest.mark.parametrize('bad', [float('nan'), float('inf'), object()])
-def test_a_session_that_cannot_be_written_leaves_the_old_file(tmp_path, bad):
+def test_invalid_values_leave_the_old_file(tmp_path, bad):
     path = tmp_path / 's.json'
     write_session(path, {'points': [1]})
     with pytest.raises(InputError, match='cannot be written'):
@@ -90,7 +91,7 @@ STEPS = ['tempfile.mkstemp', 'os.fdopen', 'os.fsync', 'os.chmod', 'os.replace']
 
 
 @pytest.mark.parametrize('step', STEPS)
-def test_a_fault_while_writing_leaves_the_old_file(tmp_path, monkeypatch, step):
+def test_an_error_while_writing_leaves_the_old_file(tmp_path, monkeypatch, step):
     path = tmp_path / 's.json'
     write_session(path, {'points': [1]})
 
@@ -106,7 +107,7 @@ def test_a_fault_while_writing_leaves_the_old_file(tmp_path, monkeypatch, step):
 
 @pytest.mark.parametrize('step', STEPS)
 @pytest.mark.parametrize('when', ['before', 'after'])
-def test_a_crash_at_any_moment_leaves_the_old_file_or_the_new(tmp_path, monkeypatch, step, when):
+def test_a_crash_leaves_the_old_or_the_new_file(tmp_path, monkeypatch, step, when):
     path = tmp_path / 's.json'
     write_session(path, {'points': [1]})
     real = operator.attrgetter(step)(files)
@@ -126,7 +127,7 @@ def test_a_crash_at_any_moment_leaves_the_old_file_or_the_new(tmp_path, monkeypa
 
 
 class Faulty:
-    """A module of which one function is replaced."""
+    """A module with one function replaced."""
 
     def __init__(self, step, function):
         self._module, self._name = getattr(files, step.split('.')[0]), step.split('.')[1]
@@ -136,6 +137,6 @@ class Faulty:
         return self._function if name == self._name else getattr(self._module, name)
 
 
-def test_a_place_that_does_not_exist_is_said(tmp_path):
+def test_reports_a_folder_that_does_not_exist(tmp_path):
     with pytest.raises(InputError, match='cannot be written'):
         write_session(tmp_path / 'none' / 's.json', {})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A journal holds all that was heard, whenever it ends and whatever is wrong with the disk."""
+"""A journal contains every event, whenever it ends and whatever is wrong with the disk."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from gsdf_registration.common.result import InputError
+from gsdf_registration.session.events import Replay
 from msg_adapters import session_journal
 from msg_adapters.session_journal import SessionJournal, journal_path, read_journal
 
@@ -24,26 +26,32 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def complaints() -> list[str]:
+def failures() -> list[str]:
     return []
 
 
 @pytest.fixture
-def journal(path: Path, complaints: list[str]) -> Iterator[SessionJournal]:
-    made = SessionJournal(path, complaints.append)
+def journal(path: Path, failures: list[str]) -> Iterator[SessionJournal]:
+    made = SessionJournal(path, failures.append)
     made('model', 'abc')
     made('collecting', True)
     yield made
     made.close()
-    assert complaints == []
+    assert failures == []
+
+
+def session_of(path: Path) -> tuple[dict[str, Any], str | None]:
+    """Return the session that a journal leads to, and what is damaged."""
+    replay = Replay()
+    damage = read_journal(path, replay.apply)
+    return replay.session, damage
 
 
 def points(path: Path) -> int:
-    """Return the number of points a reader finds once the writer has gone."""
-    found = read_journal(path)
-    assert found is not None
-    assert found[1] == ''
-    return len(found[0]['points'])
+    """Return the number of points in an undamaged journal."""
+    session, damage = session_of(path)
+    assert damage == ''
+    return len(session['points'])
 
 
 def send(journal: SessionJournal, count: int = 1, first: int = 0) -> None:
@@ -56,10 +64,10 @@ def test_an_idle_session_leaves_no_file(journal: SessionJournal, path: Path) -> 
                          ('collecting', False), ('clear', None)):
         journal(event, value)
     assert os.listdir(path.parent) == []
-    assert read_journal(path) is None
+    assert read_journal(path, print) is None
 
 
-def test_a_closed_journal_hears_nothing_more(journal: SessionJournal, path: Path) -> None:
+def test_a_closed_journal_ignores_events(journal: SessionJournal, path: Path) -> None:
     send(journal, 2)
     journal.close()
     send(journal, 3)
@@ -68,7 +76,7 @@ def test_a_closed_journal_hears_nothing_more(journal: SessionJournal, path: Path
     assert points(path) == 2 and os.listdir(path.parent) == [path.name]
 
 
-def test_what_was_heard_comes_back(journal: SessionJournal, path: Path) -> None:
+def test_events_reproduce_the_session(journal: SessionJournal, path: Path) -> None:
     journal('source', '/probe/tip')
     journal('frame', 'tracker')
     journal('rejected', {'not_finite': 2})
@@ -78,7 +86,7 @@ def test_what_was_heard_comes_back(journal: SessionJournal, path: Path) -> None:
     send(journal, 2)
     journal('rejected', {'stale': 1})
     journal.close()
-    session, damage = read_journal(path) or ({}, '')
+    session, damage = session_of(path)
     assert damage == ''
     assert session['model_sha256'] == 'abc' and session['collecting'] is True
     assert session['sources'] == ['/probe/tip'] and session['frames']['points'] == 'tracker'
@@ -86,7 +94,7 @@ def test_what_was_heard_comes_back(journal: SessionJournal, path: Path) -> None:
     assert session['points'][0] == [*POINT, None, None] and len(session['points']) == 3
 
 
-def test_a_line_is_an_event(journal: SessionJournal, path: Path) -> None:
+def test_each_line_is_an_event(journal: SessionJournal, path: Path) -> None:
     journal('point', POINT)
     head, *events = [json.loads(line) for line in path.read_text().splitlines()]
     assert head['schema'] == 'gsdf-journal/1' and {'version', 'begun'} < head.keys()
@@ -103,7 +111,7 @@ def test_nothing_is_lost_when_the_process_is_killed(path: Path) -> None:
     assert points(path) == 500
 
 
-def test_a_torn_line_is_left_out_wherever_it_is_torn(journal: SessionJournal, path: Path) -> None:
+def test_ignores_an_incomplete_last_line(journal: SessionJournal, path: Path) -> None:
     send(journal, 3)
     journal.close()
     whole = path.read_bytes()
@@ -113,28 +121,28 @@ def test_a_torn_line_is_left_out_wherever_it_is_torn(journal: SessionJournal, pa
         assert points(path) == (3 if end == len(whole) else 2)
 
 
-def test_what_comes_before_a_damaged_line_is_taken(journal: SessionJournal, path: Path) -> None:
+def test_reads_up_to_a_damaged_line(journal: SessionJournal, path: Path) -> None:
     send(journal, 9)
     journal.close()
     lines = path.read_bytes().split(b'\n')
     for damaged in (b'\0\0\0\0', b'{"point": 1}', b'["point", [1]]', b'["magic", 1]', b'\xff'):
         path.write_bytes(b'\n'.join([*lines[:8], damaged, *lines[9:]]))
-        session, damage = read_journal(path) or ({}, '')
+        session, damage = session_of(path)
         assert len(session['points']) == 5
-        assert damage == f'line 9 of {path} is damaged; what follows is left out'
+        assert damage == f'line 9 of {path} is damaged; what follows is ignored'
 
 
 @pytest.mark.parametrize('content', [b'', b'{', b'\n', b'[]\n', b'{"schema": "gsdf-session/2"}\n'])
-def test_what_is_no_journal_is_said(path: Path, content: bytes) -> None:
+def test_rejects_other_files(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    with pytest.raises(InputError, match='no journal'):
-        read_journal(path)
+    with pytest.raises(InputError, match='not a journal'):
+        read_journal(path, print)
 
 
-def test_the_last_sessions_are_kept_aside(path: Path, tmp_path: Path) -> None:
+def test_keeps_the_last_two_journals(path: Path, tmp_path: Path) -> None:
     for count in (1, 2, 3, 4):
         journal = SessionJournal(path, pytest.fail)
-        assert count == 1 or points(path) == count - 1      # until there is something to keep
+        assert count == 1 or points(path) == count - 1      # until there is something worth keeping
         send(journal, count)
         journal.close()
     kept = [path, *(path.with_name(f'{path.name}.{number}') for number in (1, 2))]
@@ -142,8 +150,8 @@ def test_the_last_sessions_are_kept_aside(path: Path, tmp_path: Path) -> None:
     assert len(os.listdir(tmp_path)) == 3
 
 
-def test_a_session_that_is_cleared_is_kept_aside_at_once(journal: SessionJournal,
-                                                         path: Path) -> None:
+def test_sets_the_journal_of_a_cleared_session_aside(journal: SessionJournal,
+                                                     path: Path) -> None:
     journal('source', 'tip')
     send(journal, 5)
     journal('collecting', False)
@@ -154,13 +162,13 @@ def test_a_session_that_is_cleared_is_kept_aside_at_once(journal: SessionJournal
     journal('source', 'tip')
     send(journal, 2)
     journal.close()
-    session, _ = read_journal(path) or ({}, '')
+    session, _ = session_of(path)
     assert (session['model_sha256'], session['collecting']) == ('abc', False)
     assert session['sources'] == ['tip'] and len(session['points']) == 2
 
 
-def test_a_session_taken_up_is_what_the_journal_begins_with(journal: SessionJournal, path: Path,
-                                                            ) -> None:
+def test_a_loaded_session_starts_a_new_journal(journal: SessionJournal, path: Path,
+                                               ) -> None:
     send(journal, 5)
     saved = {'model_sha256': 'abc', 'points': [[1, 0, 0.5, 0.0, 0.0, 0.0, 1e-4, 1.0]] * 3}
     journal('session', saved)
@@ -170,13 +178,13 @@ def test_a_session_taken_up_is_what_the_journal_begins_with(journal: SessionJour
     assert points(path.with_name(f'{path.name}.1')) == 5
 
 
-def test_a_journal_goes_on_after_a_restart_without_anything_twice(path: Path, tmp_path: Path,
-                                                                  ) -> None:
+def test_a_resumed_journal_contains_nothing_twice(path: Path, tmp_path: Path,
+                                                  ) -> None:
     for _ in range(3):
-        found = read_journal(path)
+        session, damage = session_of(path)
         journal = SessionJournal(path, pytest.fail)
-        if found is not None:
-            journal.begin(found[0])
+        if damage is not None:
+            journal.begin(session)
         journal('model', 'abc')
         send(journal, 2)
         journal.close()
@@ -185,9 +193,9 @@ def test_a_journal_goes_on_after_a_restart_without_anything_twice(path: Path, tm
 
 
 @pytest.mark.parametrize('fault', ['write', 'short write', 'open'])
-def test_a_full_disk_is_one_warning(path: Path, monkeypatch: pytest.MonkeyPatch,
-                                    complaints: list[str], fault: str) -> None:
-    journal = SessionJournal(path, complaints.append)
+def test_a_full_disk_gives_one_warning(path: Path, monkeypatch: pytest.MonkeyPatch,
+                                       failures: list[str], fault: str) -> None:
+    journal = SessionJournal(path, failures.append)
     if fault != 'open':
         send(journal, 5)
 
@@ -203,37 +211,38 @@ def test_a_full_disk_is_one_warning(path: Path, monkeypatch: pytest.MonkeyPatch,
             send(journal, 5)
             journal('registration', None)
             journal('collecting', True)
-    assert len(complaints) == 1
-    assert 'No space left on device; collecting goes on' in complaints[0]
+    assert len(failures) == 1
+    assert 'No space left on device; collecting continues' in failures[0]
     assert fault == 'open' or points(path) == 5
-    journal('clear', None)      # a new session, a new attempt
+    journal('clear', None)      # a new session is a new attempt
     send(journal, 2)
     journal.close()
-    assert len(complaints) == 1 and points(path) == 2
+    assert len(failures) == 1 and points(path) == 2
 
 
-def test_a_folder_that_cannot_be_written_is_one_warning(tmp_path: Path,
-                                                        complaints: list[str]) -> None:
-    journal = SessionJournal(tmp_path / 'none' / 's.journal', complaints.append)
+def test_a_read_only_folder_gives_one_warning_per_session(tmp_path: Path,
+                                                          failures: list[str]) -> None:
+    journal = SessionJournal(tmp_path / 'none' / 's.journal', failures.append)
     for _ in range(3):
         send(journal, 5)
     journal('session', {'points': []})
     journal.close()
-    assert len(complaints) == 2 and 'No such file or directory' in complaints[0]
+    assert len(failures) == 2 and 'No such file or directory' in failures[0]
 
 
-def test_two_nodes_do_not_write_one_journal(journal: SessionJournal, path: Path,
-                                            complaints: list[str]) -> None:
+def test_two_nodes_cannot_write_the_same_journal(journal: SessionJournal, path: Path,
+                                                 failures: list[str]) -> None:
     send(journal, 3)
     with pytest.raises(InputError, match='another node'):
-        read_journal(path)
-    told: list[str] = []
-    second = SessionJournal(path, told.append)
+        read_journal(path, print)
+    warnings: list[str] = []
+    second = SessionJournal(path, warnings.append)
     send(second, 3)
-    second('session', {'points': []})       # as by ~/load, which puts aside what is there
+    second('session', {'points': []})       # as after ~/load, which sets the file aside
     second.close()
-    assert len(told) == 2
-    assert all('another node writes it; give each a session.path' in words for words in told)
+    assert len(warnings) == 2
+    assert all('another node writes it; give each node its own session.path' in text
+               for text in warnings)
     send(journal, 3, first=3)
     journal.close()
     assert points(path) == 6 and os.listdir(path.parent) == [path.name]

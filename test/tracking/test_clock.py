@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A clock that goes back is told from a late packet, once, and no sample is lost over it."""
+"""Detection of clocks that go back: once, not for late packets, and without losing samples."""
 
 from __future__ import annotations
 
@@ -7,83 +7,84 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsdf_registration.tracking.clock import AGREEING, ALONE, BACK, ClockWatch, Stream
+from gsdf_registration.tracking.clock import AGREEING, ALONE, BACK, ClockMonitor, StampFilter
 
 RATE = 80.0
 
 
-def run(stream: Stream[float], stamps: list[float]) -> tuple[list[float], list[float], list[float]]:
-    """Return how far it went back each time, what goes on and what strays."""
-    backs, going_on, strays = [], [], []
+def run(stamp_filter: StampFilter[float],
+        stamps: list[float]) -> tuple[list[float], list[float], list[float]]:
+    """Return each step back, the accepted samples and the outliers."""
+    backs, accepted, outliers = [], [], []
     for stamp in stamps:
-        taken = stream.take(stamp, stamp)
-        backs += [taken.back] * (taken.back > 0.0)
-        going_on += taken.going_on
-        strays += taken.strays
-    return backs, going_on, strays
+        check = stamp_filter.add(stamp, stamp)
+        backs += [check.went_back] * (check.went_back > 0.0)
+        accepted += check.accepted
+        outliers += check.outliers
+    return backs, accepted, outliers
 
 
 def ticks(first: float, count: int) -> list[float]:
     return [first + i / RATE for i in range(count)]
 
 
-def test_a_clock_that_goes_on_is_passed_on() -> None:
+def test_accepts_ascending_stamps() -> None:
     stamps = ticks(1000.0, 200) + ticks(1008.0, 200)
-    assert run(Stream(), stamps) == ([], stamps, [])
+    assert run(StampFilter(), stamps) == ([], stamps, [])
 
 
-def test_a_clock_that_goes_back_is_told_once_with_all_its_samples() -> None:
+def test_reports_a_clock_that_goes_back_once() -> None:
     stamps = ticks(1000.0, 400) + ticks(1000.0, 400)
-    backs, going_on, strays = run(Stream(), stamps)
+    backs, accepted, outliers = run(StampFilter(), stamps)
     assert len(backs) == 1 and backs[0] == pytest.approx(399 / RATE)
-    assert (going_on, strays) == (stamps, [])
+    assert (accepted, outliers) == (stamps, [])
 
 
 @pytest.mark.parametrize('late', [1, AGREEING - 1])
-def test_a_few_late_packets_are_no_clock_that_goes_back(late: int) -> None:
+def test_a_few_late_packets_are_outliers(late: int) -> None:
     old = ticks(1000.0, late)
     stamps = ticks(1010.0, 100) + old + ticks(1011.25, 100)
-    backs, going_on, strays = run(Stream(), stamps)
-    assert not backs and strays == old
-    assert going_on == ticks(1010.0, 100) + ticks(1011.25, 100)
+    backs, accepted, outliers = run(StampFilter(), stamps)
+    assert not backs and outliers == old
+    assert accepted == ticks(1010.0, 100) + ticks(1011.25, 100)
 
 
-def test_late_packets_that_do_not_agree_are_no_clock_that_goes_back() -> None:
-    backs, _, strays = run(Stream(), [*ticks(1010.0, 10), 1003.0, 1002.0, 1001.0, 1000.0,
+def test_late_packets_that_disagree_are_outliers() -> None:
+    backs, _, outliers = run(StampFilter(), [*ticks(1010.0, 10), 1003.0, 1002.0, 1001.0, 1000.0,
                                       *ticks(1010.2, 10)])
-    assert not backs and strays == [1003.0, 1002.0, 1001.0, 1000.0]
+    assert not backs and outliers == [1003.0, 1002.0, 1001.0, 1000.0]
 
 
-def test_one_garbled_stamp_in_the_future_costs_nothing_but_itself() -> None:
+def test_a_corrupt_stamp_is_a_single_outlier() -> None:
     stamps = [*ticks(1000.0, 50), 5e8, *ticks(1001.0, 50)]
-    backs, going_on, strays = run(Stream(), stamps)
-    assert not backs and strays == [5e8]
-    assert going_on == ticks(1000.0, 50) + ticks(1001.0, 50)
+    backs, accepted, outliers = run(StampFilter(), stamps)
+    assert not backs and outliers == [5e8]
+    assert accepted == ticks(1000.0, 50) + ticks(1001.0, 50)
 
 
-def test_a_probe_that_is_back_in_view_after_a_while_loses_nothing() -> None:
+def test_accepts_a_probe_that_returns_into_view() -> None:
     stamps = ticks(1000.0, 50) + ticks(1100.0, 50)
-    assert run(Stream(), stamps) == ([], stamps, [])
+    assert run(StampFilter(), stamps) == ([], stamps, [])
 
 
 @settings(deadline=None)
 @given(st.lists(st.floats(0.0, 3000.0), max_size=60))
-def test_every_sample_goes_on_strays_or_is_held(stamps: list[float]) -> None:
-    stream: Stream[float] = Stream()
-    _, going_on, strays = run(stream, stamps)
-    assert sorted(going_on + strays + stream.end()) == sorted(stamps)
+def test_every_sample_is_accepted_an_outlier_or_pending(stamps: list[float]) -> None:
+    stamp_filter: StampFilter[float] = StampFilter()
+    _, accepted, outliers = run(stamp_filter, stamps)
+    assert sorted(accepted + outliers + stamp_filter.flush()) == sorted(stamps)
 
 
-def loop(watch: ClockWatch[tuple[str, float]],
+def loop(monitor: ClockMonitor[tuple[str, float]],
          samples: list[tuple[str, float]]) -> tuple[int, list[tuple[str, float]]]:
-    """Return how often the clocks went back, and what goes on since."""
-    backs, going_on = 0, []
-    for source, stamp in samples:
-        taken = watch.take(source, stamp, (source, stamp), None)
-        if taken.back:
-            backs, going_on = backs + 1, []
-        going_on += taken.going_on
-    return backs, going_on
+    """Return how often the clocks went back, and the samples accepted since."""
+    backs, accepted = 0, []
+    for topic, stamp in samples:
+        check = monitor.add(topic, stamp, (topic, stamp), None)
+        if check.went_back:
+            backs, accepted = backs + 1, []
+        accepted += check.accepted
+    return backs, accepted
 
 
 @settings(deadline=None)
@@ -91,62 +92,62 @@ def loop(watch: ClockWatch[tuple[str, float]],
 def test_topics_that_loop_together_go_back_once(order: list[str], every: int, behind: int) -> None:
     """``/c`` is slower than the others, and ``/b`` is behind in its queue by some samples."""
     def once() -> list[tuple[str, float]]:
-        return [(source, 1000.0 + i / RATE) for i in range(400) for source in order
-                if source != '/c' or i % every == 0]
+        return [(topic, 1000.0 + i / RATE) for i in range(400) for topic in order
+                if topic != '/c' or i % every == 0]
     samples = once() + once()
-    mine = [i for i, (source, _) in enumerate(samples) if source == '/b']
+    mine = [i for i, (topic, _) in enumerate(samples) if topic == '/b']
     delayed = [samples[i] for i in mine[:len(mine) - behind]]
     for i, sample in zip(mine[behind:], delayed):
         samples[i] = sample
     samples = [sample for i, sample in enumerate(samples) if i not in mine[:behind]]
-    backs, going_on = loop(ClockWatch(), samples)
+    backs, accepted = loop(ClockMonitor(), samples)
     assert backs == 1
-    for source in order:
-        stamps = [stamp for name, stamp in going_on if name == source]
+    for topic in order:
+        stamps = [stamp for name, stamp in accepted if name == topic]
         assert stamps == sorted(set(stamps)) and stamps[0] == 1000.0
 
 
-def test_a_live_probe_beside_a_looped_one_is_heard_again() -> None:
+def test_a_live_topic_beside_a_looped_one_is_accepted_again() -> None:
     samples = [sample for i in range(800)
                for sample in (('/looped', 1000.0 + i % 400 / RATE), ('/live', 9e5 + i / RATE))]
-    backs, going_on = loop(ClockWatch(), samples)
+    backs, accepted = loop(ClockMonitor(), samples)
     assert backs == 1
-    live = [stamp for source, stamp in going_on if source == '/live']
+    live = [stamp for topic, stamp in accepted if topic == '/live']
     assert live[0] == pytest.approx(9e5 + 400 / RATE + ALONE + BACK, abs=0.1)
     assert live[-1] == 9e5 + 799 / RATE
 
 
 @pytest.mark.parametrize('ahead', [0.0, 0.5 * ALONE, 1.5 * ALONE])
-def test_our_own_clock_and_the_points_go_back_once(ahead: float) -> None:
-    """The points are ``ahead`` by so much, in s."""
-    watch: ClockWatch[float] = ClockWatch()
+def test_local_clock_and_points_go_back_once(ahead: float) -> None:
+    """The points are ``ahead`` of the local clock, s."""
+    monitor: ClockMonitor[float] = ClockMonitor()
     for stamp in ticks(1000.0, 400):
-        watch.take('/tip', stamp, stamp, stamp)
-    noticed, going_on = 0, []
+        monitor.add('/tip', stamp, stamp, stamp)
+    noticed, accepted = 0, []
     stamps = ticks(1000.0, 80)
     for stamp in stamps:
-        ours = stamp - ahead
-        if ours - 1.0 / RATE < 1000.0 <= ours:
-            noticed += watch.our_clock_went_back(1005.0 + ahead)
-        taken = watch.take('/tip', stamp, stamp, ours + (5.0 + ahead) * (ours < 1000.0))
-        noticed += taken.back > 0.0
-        going_on += taken.going_on
-    assert (noticed, going_on) == (1, stamps)
+        local = stamp - ahead
+        if local - 1.0 / RATE < 1000.0 <= local:
+            noticed += monitor.local_clock_went_back(1005.0 + ahead)
+        check = monitor.add('/tip', stamp, stamp, local + (5.0 + ahead) * (local < 1000.0))
+        noticed += check.went_back > 0.0
+        accepted += check.accepted
+    assert (noticed, accepted) == (1, stamps)
 
 
-def test_two_programs_on_one_topic_cost_nothing_that_was_heard() -> None:
-    """One goes first, by its own clock; now and then it is not heard for a while."""
-    watch: ClockWatch[float] = ClockWatch()
+def test_a_second_program_on_a_topic_is_rejected() -> None:
+    """The first program has its own clock and is silent for a while."""
+    monitor: ClockMonitor[float] = ClockMonitor()
     hidden = range(800, 960)
-    backs, first, refused = 0, [], []
+    backs, first, rejected = 0, [], []
     for i in range(1600):
-        for clock, heard in ((5000.0, i not in hidden), (70.0, i > 160)):
+        for clock, sent in ((5000.0, i not in hidden), (70.0, i > 160)):
             stamp = clock + i / RATE
-            if heard:
-                taken = watch.take('/tip', stamp, stamp, stamp)
-                backs += taken.back > 0.0
-                first += taken.going_on
-                refused += taken.strays
+            if sent:
+                check = monitor.add('/tip', stamp, stamp, stamp)
+                backs += check.went_back > 0.0
+                first += check.accepted
+                rejected += check.outliers
     assert backs == 0 and min(first) == 5000.0 and len(first) == 1600 - len(hidden)
-    assert len(refused) > 1430 and max(refused) < 100.0
-    assert '4930.0 s apart' in watch.trouble[0] and 'two programs' in watch.trouble[0]
+    assert len(rejected) > 1430 and max(rejected) < 100.0
+    assert '4930.0 s apart' in monitor.problems[0] and 'two programs' in monitor.problems[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From any frame to any other that transforms connect, at any time for which all are known."""
+"""Transforms between any two connected frames, at any time for which all are known."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def tree() -> Frames:
     return frames
 
 
-def between(share: float) -> Array:
-    return B @ exp([0.0, 0.0, 0.1 * share, 0.0, 0.0, 0.0])
+def camera(ratio: float) -> Array:
+    return B @ exp([0.0, 0.0, 0.1 * ratio, 0.0, 0.0, 0.0])
 
 
-def test_the_way_leads_up_and_down() -> None:
+def test_composes_transforms_up_and_down_the_tree() -> None:
     frames = tree()
-    T_world_camera = A @ between(0.3)
+    T_world_camera = A @ camera(0.3)
     np.testing.assert_allclose(frames.at('world', 'camera', 1.03, GAP), T_world_camera, atol=1e-12)
     np.testing.assert_allclose(frames.at('camera', 'world', 1.03, GAP), inverse(T_world_camera),
                                atol=1e-12)
@@ -42,7 +42,7 @@ def test_the_way_leads_up_and_down() -> None:
     np.testing.assert_array_equal(frames.at('camera', 'camera', 5.0, GAP), np.eye(4))
 
 
-def test_only_the_frames_on_the_way_must_be_known() -> None:
+def test_needs_only_the_frames_on_the_path() -> None:
     frames = tree()
     np.testing.assert_allclose(frames.at('probe', 'table', 77.0, GAP), inverse(D), atol=1e-12)
     assert frames.at('probe', 'robot', 77.0, GAP) is not LookupStatus.NOT_YET
@@ -50,23 +50,23 @@ def test_only_the_frames_on_the_way_must_be_known() -> None:
     assert frames.at('probe', 'camera', 0.9, GAP) is LookupStatus.NEVER
 
 
-def test_frames_that_nothing_connects_may_be_connected_later() -> None:
+def test_unconnected_frames_may_be_connected_later() -> None:
     frames = tree()
-    assert not frames.connect('camera', 'elsewhere')
+    assert not frames.connected('camera', 'elsewhere')
     assert frames.at('camera', 'elsewhere', 1.05, GAP) is LookupStatus.NOT_YET
     frames.add('probe', 'elsewhere', 0.0, A, fixed=True)
-    assert frames.connect('camera', 'elsewhere')
+    assert frames.connected('camera', 'elsewhere')
     assert isinstance(frames.at('camera', 'elsewhere', 1.05, GAP), np.ndarray)
 
 
-def test_a_frame_hung_on_another_parent_forgets_the_first() -> None:
+def test_a_new_parent_replaces_the_former_one() -> None:
     frames = tree()
     frames.add('table', 'camera', 2.0, D)
     np.testing.assert_allclose(frames.at('table', 'camera', 2.0, GAP), D)
     assert frames.at('robot', 'camera', 1.05, GAP) is LookupStatus.NEVER
 
 
-def test_a_circle_and_what_is_no_motion_do_no_harm() -> None:
+def test_ignores_cycles_and_invalid_transforms() -> None:
     frames = tree()
     frames.add('probe', 'probe', 0.0, A, fixed=True)
     frames.add('table', 'probe', 0.0, np.full((4, 4), np.nan), fixed=True)
@@ -77,7 +77,7 @@ def test_a_circle_and_what_is_no_motion_do_no_harm() -> None:
     frames.at('camera', 'probe', 1.05, GAP)
 
 
-def test_static_transforms_outlive_a_clock_that_goes_back() -> None:
+def test_static_transforms_survive_a_clock_that_goes_back() -> None:
     frames = tree()
     frames.rewind(-100.0)
     np.testing.assert_allclose(frames.at('world', 'probe', -99.0, GAP), C @ D)

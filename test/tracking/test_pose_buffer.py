@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a body between two that were seen: interpolated by its laws, never beyond them."""
+"""Poses between two known ones are interpolated, and never extrapolated."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from gsdf_registration.common.rigid import (
     is_rigid,
     transform,
 )
-from gsdf_registration.tracking.pose_buffer import KEPT, MOST, LookupStatus, PoseBuffer
+from gsdf_registration.tracking.pose_buffer import DURATION, MAX_POSES, LookupStatus, PoseBuffer
 
 GAP = 0.5       # s
 twists = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)
-shares = st.floats(0.0, 1.0)
+ratios = st.floats(0.0, 1.0)
 
 
 def buffer(*poses: tuple[float, Array]) -> PoseBuffer:
@@ -31,21 +31,21 @@ def buffer(*poses: tuple[float, Array]) -> PoseBuffer:
 
 
 @settings(deadline=None)
-@given(twists, twists, shares)
-def test_translation_goes_straight_and_rotation_the_shortest_way(a: Array, b: Array,
-                                                                 share: float) -> None:
+@given(twists, twists, ratios)
+def test_interpolates_translation_linearly_and_rotation_by_slerp(a: Array, b: Array,
+                                                                 ratio: float) -> None:
     T_a, T_b = exp(a), exp(b)
-    T = buffer((1.0, T_a), (1.4, T_b)).at(1.0 + 0.4 * share, GAP)
+    T = buffer((1.0, T_a), (1.4, T_b)).at(1.0 + 0.4 * ratio, GAP)
     assert is_rigid(T, 1e-9)
-    np.testing.assert_allclose(T[:3, 3], (1.0 - share) * T_a[:3, 3] + share * T_b[:3, 3], atol=1e-9)
-    whole = angle_between(T_a[:3, :3], T_b[:3, :3])
-    assert angle_between(T_a[:3, :3], T[:3, :3]) == pytest.approx(share * whole, abs=1e-6)
-    assert angle_between(T[:3, :3], T_b[:3, :3]) == pytest.approx((1.0 - share) * whole, abs=1e-6)
+    np.testing.assert_allclose(T[:3, 3], (1.0 - ratio) * T_a[:3, 3] + ratio * T_b[:3, 3], atol=1e-9)
+    angle = angle_between(T_a[:3, :3], T_b[:3, :3])
+    assert angle_between(T_a[:3, :3], T[:3, :3]) == pytest.approx(ratio * angle, abs=1e-6)
+    assert angle_between(T[:3, :3], T_b[:3, :3]) == pytest.approx((1.0 - ratio) * angle, abs=1e-6)
 
 
 @settings(deadline=None)
 @given(twists, twists)
-def test_a_constant_twist_is_exact_in_the_limit(start: Array, twist: Array) -> None:
+def test_interpolation_error_of_a_constant_twist_is_bounded(start: Array, twist: Array) -> None:
     """The rotation is exact at any rate, the translation off by |w x v| dt^2 / 8 at most."""
     period = 0.0125
     a, middle, b = (exp(start) @ exp(time * twist) for time in (0.0, 0.5 * period, period))
@@ -56,17 +56,17 @@ def test_a_constant_twist_is_exact_in_the_limit(start: Array, twist: Array) -> N
 
 
 @settings(deadline=None)
-@given(twists, twists, twists, shares)
-def test_a_tracker_that_is_moved_moves_nothing_in_the_frame_of_the_array(
-        moved: Array, a: Array, b: Array, share: float) -> None:
-    T_moved, point, stamp = exp(moved), np.array([0.1, -0.2, 0.3]), 1.0 + 0.4 * share
+@given(twists, twists, twists, ratios)
+def test_interpolation_does_not_depend_on_the_tracker_frame(
+        moved: Array, a: Array, b: Array, ratio: float) -> None:
+    T_moved, point, stamp = exp(moved), np.array([0.1, -0.2, 0.3]), 1.0 + 0.4 * ratio
     here = buffer((1.0, exp(a)), (1.4, exp(b))).at(stamp, GAP)
     there = buffer((1.0, T_moved @ exp(a)), (1.4, T_moved @ exp(b))).at(stamp, GAP)
     np.testing.assert_allclose(transform(inverse(there), transform(T_moved, point)),
                                transform(inverse(here), point), atol=1e-7)
 
 
-def test_at_the_stamp_of_a_pose_it_is_that_pose_whatever_lies_beside() -> None:
+def test_returns_the_pose_at_its_own_stamp() -> None:
     T = exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     made = buffer((1.0, T))
     assert made.at(1.0, 0.0) is T
@@ -74,7 +74,7 @@ def test_at_the_stamp_of_a_pose_it_is_that_pose_whatever_lies_beside() -> None:
     assert made.at(1.0, 0.0) is T
 
 
-def test_nothing_is_extrapolated_and_no_wide_gap_bridged() -> None:
+def test_does_not_extrapolate_or_interpolate_over_gaps() -> None:
     assert PoseBuffer().at(1.0, GAP) is LookupStatus.NOT_YET
     made = buffer((1.0, np.eye(4)), (1.1, np.eye(4)))
     assert made.at(0.999, GAP) is LookupStatus.NEVER
@@ -88,21 +88,21 @@ def test_nothing_is_extrapolated_and_no_wide_gap_bridged() -> None:
     np.full((4, 4), np.nan), 2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]),
     from_rt(np.eye(3), [-3.7e28, 0.0, 0.0]), np.zeros((4, 4))],
     ids=['NaN', 'scaled', 'mirrored', 'the huge numbers of a missing tool', 'zero'])
-def test_what_is_no_pose_is_refused(T: Array) -> None:
+def test_rejects_poses_that_are_not_rigid(T: Array) -> None:
     made = buffer((1.0, np.eye(4)))
-    assert 'no rigid motion' in made.add(1.1, T)
+    assert 'not a rigid motion' in made.add(1.1, T)
     assert made.add(np.nan, np.eye(4))
     assert made.newest == 1.0
 
 
-def test_a_repeated_or_late_pose_is_refused() -> None:
+def test_rejects_repeated_and_late_poses() -> None:
     made = buffer((1.0, np.eye(4)), (1.1, np.eye(4)))
     for stamp in (1.1, 1.05, 0.2):
         assert 'not later' in made.add(stamp, exp([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     np.testing.assert_array_equal(made.at(1.05, GAP), np.eye(4))
 
 
-def test_a_clock_that_goes_back_starts_anew() -> None:
+def test_a_clock_that_goes_back_clears_the_buffer() -> None:
     made, old, new = PoseBuffer(), np.eye(4), exp([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     for i in range(400):
         made.add(1000.0 + i / 80.0, old)
@@ -112,22 +112,23 @@ def test_a_clock_that_goes_back_starts_anew() -> None:
     np.testing.assert_allclose(made.at(1000.01, GAP), new, atol=1e-12)
 
 
-def test_rewinding_drops_what_is_of_the_time_before_and_what_still_comes_of_it() -> None:
+def test_rewind_drops_earlier_and_still_arriving_poses() -> None:
     made = buffer((1000.0, np.eye(4)), (1000.1, np.eye(4)))
     made.rewind(999.9)
     assert made.newest == 1000.1
     made.rewind(900.0)
     assert made.at(1000.0, GAP) is LookupStatus.NOT_YET
-    assert 'leaps' in made.add(1000.2, np.eye(4))
+    assert 'jumps' in made.add(1000.2, np.eye(4))
     assert made.at(900.05, GAP) is LookupStatus.NOT_YET
     assert made.add(900.1, np.eye(4)) == '' and made.newest == 900.1
 
 
 @pytest.mark.parametrize('rate', [80.0, 1e6])
-def test_the_memory_is_bounded(rate: float) -> None:
+def test_memory_is_bounded(rate: float) -> None:
     made = PoseBuffer()
     for i in range(50_000):
         made.add(1000.0 + i / rate, np.eye(4))
-    assert len(made._poses) == len(made._stamps) == len(made._turns) <= MOST
+    assert len(made._poses) == len(made._stamps) == len(made._turns) <= MAX_POSES
     kept = made.newest - made._stamps[0]
-    assert kept <= 2.0 * KEPT and (kept >= 0.99 * KEPT or len(made._poses) >= MOST // 2)
+    assert kept <= 2.0 * DURATION
+    assert kept >= 0.99 * DURATION or len(made._poses) >= MAX_POSES // 2
