@@ -44,7 +44,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         *shared('config', 'launch', 'bags'),
     ],
-    package_data={f'{NAME}.visualization': ['page.html']},
+    package_data={f'{NAME}.visualization': ['report.html']},
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=[

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A registration as one HTML page that needs no network: what was found, and how good it is."""
+"""Reports and pictures of a registration."""
 
-from gsdf_registration.visualization.page import require_plotly, write_report
+from gsdf_registration.visualization.report import require_plotly, write_report
 
 __all__ = ['require_plotly', 'write_report']

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What colours mean, the same in every picture; told apart by the colour-blind too.
+Colours with the same meaning in every picture, distinguishable with colour blindness.
 
-Points run from blue (on the surface) to red, the bone from its own colour (error small) to purple,
-what to touch next is green; all three differ in lightness as well as in hue. The scales end where
-a registration would be refused for it, or at twice that.
+Points range from blue (on the surface) to red, the bone from its own colour (small error) to
+purple, and places to touch next are green. The three differ in lightness as well as in hue. A scale
+ends at the limit at which a registration is refused, or at twice that.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from __future__ import annotations
 import numpy as np
 
 from gsdf_registration.common.config import LimitsConfig
-from gsdf_registration.common.result import ON_BONE
+from gsdf_registration.common.result import INLIER_WEIGHT
 from gsdf_registration.common.rigid import Array
 
-RESIDUAL = ('#08408f', '#3e9bcb', '#f0d264', '#ea7a1f', '#b3120f')  # none ... the limit and more
-ERROR = ('#ebe3d2', '#c5a5cf', '#86419c', '#531178')                # none ... the limit and more
-UNUSED = '#8a8f94'      # points that do not bear the pose
-NEXT = '#00a676'        # what to touch next
+RESIDUAL = ('#08408f', '#3e9bcb', '#f0d264', '#ea7a1f', '#b3120f')  # zero ... the limit and more
+ERROR = ('#ebe3d2', '#c5a5cf', '#86419c', '#531178')                # zero ... the limit and more
+UNUSED = '#8a8f94'      # points that are not inliers
+NEXT = '#00a676'        # places to touch next
 
 
 def rgb(colour: str) -> Array:
@@ -33,33 +33,34 @@ def on_scale(values: Array, scale: tuple[str, ...], limit: float) -> Array:
                      for channel in np.array([rgb(colour) for colour in scale]).T], axis=-1)
 
 
-def most_residual(limits: LimitsConfig) -> float:
-    """Return where the scale of the residuals ends, m."""
+def max_residual(limits: LimitsConfig) -> float:
+    """Return the end of the scale of the residuals, m."""
     return limits.max_sigma
 
 
-def most_error(limits: LimitsConfig) -> float:
-    """Return where the scale of the error to expect ends, m."""
+def max_error(limits: LimitsConfig) -> float:
+    """Return the end of the scale of the expected error, m."""
     return 2.0 * limits.max_predicted_tre
 
 
 def error_colours(errors: Array, limits: LimitsConfig) -> Array:
-    """Return the colours (..., 3) of the bone where so much error is to be expected, m (...)."""
-    return on_scale(errors, ERROR, most_error(limits))
+    """Return the colours (..., 3) of the bone for expected errors (...), m."""
+    return on_scale(errors, ERROR, max_error(limits))
 
 
 def residual_colours(residuals: Array, weights: Array, limits: LimitsConfig) -> Array:
     """
-    Return the colours (n, 3) of points: by how far they are off the surface, grey if not used.
+    Return the colours (n, 3) of points by their distance from the surface; grey if not used.
 
     Parameters
     ----------
-    residuals : (n,) float, m, of either sign; NaN where unknown
-    weights : (n,) float, in [0, 1]; a point of 0.5 or less does not bear the pose
+    residuals : (n,) float, m
+        Signed; NaN if unknown.
+    weights : (n,) float, in [0, 1]
+        A point with a weight of 0.5 or less is not used.
     limits : LimitsConfig
 
     """
-    used = np.isfinite(residuals) & (weights > ON_BONE)
+    used = np.isfinite(residuals) & (weights > INLIER_WEIGHT)
     known = np.where(used, np.abs(residuals), 0.0)
-    return np.where(used[:, None], on_scale(known, RESIDUAL, most_residual(limits)),
-                    rgb(UNUSED))
+    return np.where(used[:, None], on_scale(known, RESIDUAL, max_residual(limits)), rgb(UNUSED))

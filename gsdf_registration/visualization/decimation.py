@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A surface light enough to be drawn, in a browser or from a message."""
+"""Reduce a surface to a size that a browser or a message can handle."""
 
 from __future__ import annotations
 
@@ -12,43 +12,44 @@ from gsdf_registration.field import Field
 Faces = NDArray[np.int32]
 
 
-def drawn_surface(field: Field, most: int) -> tuple[Array, Faces]:
+def drawn_surface(field: Field, max_faces: int) -> tuple[Array, Faces]:
     """
-    Return vertices (n, 3), m, bone frame, and at most ``most`` faces (m, 3) of a bone.
+    Return vertices (n, 3), m, bone frame, and at most ``max_faces`` faces (m, 3) of a bone.
 
-    Of a bone that came as a point cloud, at most ``most`` points spread over it, and no faces.
+    A bone from a point cloud has no faces, and at most ``max_faces`` vertices.
     """
     if len(field.faces):
-        return reduced(field.vertices, field.faces, most)
-    points = field.surface_points[::-(-len(field.surface_points) // most)]
+        return decimate(field.vertices, field.faces, max_faces)
+    points = field.surface_points[::-(-len(field.surface_points) // max_faces)]
     return points.astype(np.float64), np.zeros((0, 3), np.int32)
 
 
-def reduced(vertices: Array, faces: Faces, most: int) -> tuple[Array, Faces]:
+def decimate(vertices: Array, faces: Faces, max_faces: int) -> tuple[Array, Faces]:
     """
-    Return a mesh of at most ``most`` faces: itself, or one whose vertices were merged cell by cell.
+    Return a mesh of at most ``max_faces`` faces, by merging the vertices within each cell.
 
-    Vertex clustering (Rossignac and Borrel 1993) on ever coarser cells; for drawing only, thin
-    walls may close.
+    Vertex clustering (Rossignac and Borrel 1993) with increasing cell size. For display only: thin
+    walls may close. A mesh that is small enough is returned unchanged.
 
     Parameters
     ----------
     vertices : (n, 3) float, m
     faces : (m, 3) int
+    max_faces : int
 
     """
     corners = vertices[faces].astype(np.float64)
     ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * np.linalg.norm(np.cross(ab, ac), axis=1).sum()
-    cell = np.sqrt(3.0 * area / most)   # a surface meets about 1.5 cells on the area of one's side
-    thin, kept = vertices.astype(np.float64), faces
-    while len(kept) > most:
-        thin, kept = _clustered(vertices, faces, cell)
+    cell = np.sqrt(3.0 * area / max_faces)  # a surface crosses 1.5 cells per area of a cell side
+    merged, kept = vertices.astype(np.float64), faces
+    while len(kept) > max_faces:
+        merged, kept = _cluster(vertices, faces, cell)
         cell *= 1.1
-    return thin, kept
+    return merged, kept
 
 
-def _clustered(vertices: Array, faces: Faces, cell: float) -> tuple[Array, Faces]:
+def _cluster(vertices: Array, faces: Faces, cell: float) -> tuple[Array, Faces]:
     low = vertices.min(axis=0)
     x, y, z = np.floor((vertices - low) / cell).astype(np.int64).T
     _, cluster = np.unique((x << 42) | (y << 21) | z, return_inverse=True)

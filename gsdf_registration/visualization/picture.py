@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The scene of ~/markers as a PNG: three views, what the colours mean, what to do next.
+The scene of ~/markers as a PNG: three views, a legend, and the next touches.
 
-The bone is drawn from its field, see `raycast`; matplotlib, which needs no display for it, adds
-words and scales.
+The bone is rendered from its field, see `raycast`; matplotlib adds text and scales and needs no
+display for this.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsdf_registration.common.result import ON_BONE, InputError
+from gsdf_registration.common.result import INLIER_WEIGHT, InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.visualization import colours
 from gsdf_registration.visualization.raycast import looking_at
-from gsdf_registration.visualization.view import Scene, View, paint
+from gsdf_registration.visualization.render import Scene, View, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 100
-SIZE = (1320, 840)      # of the picture, pixels, across and down
-SHAPE = (560, 420)      # of a view, pixels, down and across
-BELOW = 176             # pixels: where scales and words are
-FINER = 2               # rays a pixel, across and down: smooth edges
-SHADES = 63             # of a colour: an eye hardly tells more apart, and the file is small
-CLOSE = 0.012           # m of bone shown round what was touched
-WHOLE = 0.006           # m of nothing round the whole bone
-FRONT = np.array([0.0, -1.0, 0.0])      # where we look from if nothing tells of a better place
+SIZE = (1320, 840)      # width and height of the picture, pixels
+SHAPE = (560, 420)      # height and width of a view, pixels
+BELOW = 176             # pixels below the views, for scales and text
+OVERSAMPLING = 2        # rays per pixel and direction, for smooth edges
+SHADES = 63             # levels per colour channel: hardly visible, and the file is small
+CLOSE_MARGIN = 0.012    # m around the touched area
+WHOLE_MARGIN = 0.006    # m around the whole bone
+FRONT = np.array([0.0, -1.0, 0.0])      # default direction to the viewer
 GOOD, BAD = '#0b6e4f', '#b3120f'
 
 
 def require_matplotlib() -> None:
-    """Raise an `InputError` that says what to install if no picture can be drawn."""
+    """Raise an `InputError` that says what to install if matplotlib is missing."""
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
@@ -45,23 +45,23 @@ def require_matplotlib() -> None:
                          "pip install 'gsdf_registration[report]'") from None
 
 
-def write_picture(path: str | os.PathLike[str], scene: Scene, verdict: str, good: bool) -> None:
+def write_picture(path: str | os.PathLike[str], scene: Scene, title: str, good: bool) -> None:
     """
-    Write a scene as a PNG; a file that is there is replaced.
+    Write a scene as a PNG; an existing file is replaced.
 
     Parameters
     ----------
     path : str or path
     scene : Scene
-    verdict : str
-        One sentence above all.
+    title : str
+        One sentence above the views.
     good : bool
-        Whether it is a good one.
+        Whether the title reports an accepted pose; it sets the colour.
 
     Raises
     ------
     InputError
-        When matplotlib is not installed or the file cannot be written.
+        If matplotlib is not installed or the file cannot be written.
 
     """
     require_matplotlib()
@@ -69,57 +69,59 @@ def write_picture(path: str | os.PathLike[str], scene: Scene, verdict: str, good
 
     from msg_adapters.files import write_atomically
     figure = Figure(figsize=(SIZE[0] / DPI, SIZE[1] / DPI), dpi=DPI)
-    figure.text(0.015, 0.985, textwrap.fill(verdict, 150), fontsize=11, va='top', linespacing=1.4,
+    figure.text(0.015, 0.985, textwrap.fill(title, 150), fontsize=11, va='top', linespacing=1.4,
                 color=GOOD if good else BAD)
-    for number, (title, view) in enumerate(_views(scene).items()):
-        _draw_view(figure, number, title, view, scene)
-    _draw_words(figure, scene)
+    for number, (name, view) in enumerate(_views(scene).items()):
+        _draw_view(figure, number, name, view, scene)
+    _draw_legend(figure, scene)
     picture = io.BytesIO()
     figure.savefig(picture, format='png', dpi=DPI, pil_kwargs={'optimize': True})
     write_atomically(path, picture.getvalue())
 
 
 def _views(scene: Scene) -> dict[str, View]:
-    """Return what was touched, the whole bone, and the bone from where all else is seen."""
+    """Return views of the touched area, of the whole bone, and of what these two do not show."""
     surface = scene.field.surface_points.astype(np.float64)
-    touched = scene.positions[scene.found.weights > ON_BONE]
-    touches = scene.found.touches
+    touches = scene.next_touches
+    touched = (scene.points[scene.weights > INLIER_WEIGHT] if scene.T_tracker_bone is not None
+               else np.zeros((0, 3)))
     if len(touched):
         outward = scene.field.sample(touched)[1].mean(axis=0)
-        if np.linalg.norm(outward) < 0.1:       # touched all round
+        if np.linalg.norm(outward) < 0.1:       # touched on all sides
             outward = FRONT
         shown = np.vstack([touched, *(touch.position for touch in touches)])
-        views = {'where it was touched': _view(scene, shown, outward, CLOSE),
-                 'the whole bone from there': _view(scene, surface, outward, WHOLE)}
+        views = {'touched area': _view(scene, shown, outward, CLOSE_MARGIN),
+                 'whole bone, same direction': _view(scene, surface, outward, WHOLE_MARGIN)}
     else:
         outward = touches[0].normal if touches else FRONT
-        views = {'the bone': _view(scene, surface, outward, WHOLE)}
+        views = {'bone': _view(scene, surface, outward, WHOLE_MARGIN)}
     hidden = next((k for k, touch in enumerate(touches)
                    if not any(view.sees(touch) for view in views.values())), None)
     if hidden is None:
-        title, aside = 'from the other side', -outward
+        name, direction = 'opposite side', -outward
     else:
-        title, aside = f'from where {hidden + 1} can be seen', touches[hidden].normal
-    return views | {title: _view(scene, surface, aside, WHOLE)}
+        name, direction = f'side of next touch {hidden + 1}', touches[hidden].normal
+    return views | {name: _view(scene, surface, direction, WHOLE_MARGIN)}
 
 
 def _view(scene: Scene, places: Array, direction: Array, margin: float) -> View:
-    return paint(scene, looking_at(places, direction, (FINER * SHAPE[0], FINER * SHAPE[1]), margin))
+    shape = OVERSAMPLING * SHAPE[0], OVERSAMPLING * SHAPE[1]
+    return render(scene, looking_at(places, direction, shape, margin))
 
 
-def _draw_view(figure: Figure, number: int, title: str, view: View, scene: Scene) -> None:
-    """Put a view beside the others, with a length to compare and the patches' numbers."""
+def _draw_view(figure: Figure, number: int, name: str, view: View, scene: Scene) -> None:
+    """Draw a view beside the others, with a scale bar and the numbers of the next touches."""
     gap = (SIZE[0] - 3 * SHAPE[1]) // 4
     left = gap + number * (gap + SHAPE[1])
-    # pixel by pixel: nothing is resampled; below all that is written on it
-    figure.figimage(_coarser(view.image), left, BELOW, zorder=-1)
+    # pixel by pixel, so that nothing is resampled, and below the text
+    figure.figimage(_downsample(view.image), left, BELOW, zorder=-1)
     axes = figure.add_axes((left / SIZE[0], BELOW / SIZE[1], SHAPE[1] / SIZE[0],
                             SHAPE[0] / SIZE[1]))
-    right, bottom = FINER * SHAPE[1], FINER * SHAPE[0]
-    axes.set_title(title, fontsize=11, color='#444444')
+    right, bottom = OVERSAMPLING * SHAPE[1], OVERSAMPLING * SHAPE[0]
+    axes.set_title(name, fontsize=11, color='#444444')
     axes.set_axis_off()
     badge = {'boxstyle': 'circle,pad=0.15', 'facecolor': '#00664a', 'edgecolor': 'white'}
-    for k, touch in enumerate(scene.found.touches, start=1):
+    for k, touch in enumerate(scene.next_touches, start=1):
         if view.sees(touch):
             column, row, _ = view.camera.project(touch.position[None])
             axes.text(column[0], row[0], str(k), ha='center', va='center', color='white',
@@ -131,30 +133,29 @@ def _draw_view(figure: Figure, number: int, title: str, view: View, scene: Scene
     axes.set_ylim(bottom, 0)
 
 
-def _coarser(image: Array) -> Array:
-    """Return an image with the mean of every FINER x FINER pixels."""
-    rows, columns = image.shape[0] // FINER, image.shape[1] // FINER
-    mean = image.reshape(rows, FINER, columns, FINER, 3).mean(axis=(1, 3))
+def _downsample(image: Array) -> Array:
+    """Return an image with the mean of every OVERSAMPLING x OVERSAMPLING pixels."""
+    rows, columns = image.shape[0] // OVERSAMPLING, image.shape[1] // OVERSAMPLING
+    mean = image.reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, 3).mean(axis=(1, 3))
     return np.round(SHADES * np.clip(mean, 0.0, 1.0)) / SHADES
 
 
-def _draw_words(figure: Figure, scene: Scene) -> None:
-    """Say what the colours mean, and what to do next."""
-    found = scene.found
-    lines = [f'{k}: {touch.promise}' for k, touch in enumerate(found.touches, start=1)]
+def _draw_legend(figure: Figure, scene: Scene) -> None:
+    """Draw the scales of the colours and the gain of each next touch."""
+    lines = [f'{k}: {touch.expected_gain}' for k, touch in enumerate(scene.next_touches, start=1)]
     if lines:
         figure.text(0.7, 0.175, '\n'.join(['green: where to touch next', *lines]), fontsize=10,
                     va='top', color='#00664a', linespacing=1.6)
-    if found.covariance is None:
-        figure.text(0.02, 0.15, 'no pose: nobody knows where on the bone the points are',
-                    fontsize=11, color='#444444')
+    if scene.T_tracker_bone is None:
+        figure.text(0.02, 0.15, 'no pose: the points cannot be placed on the bone', fontsize=11,
+                    color='#444444')
         return
-    used = found.weights > ON_BONE
-    _draw_scale(figure, 0.02, colours.RESIDUAL, colours.most_residual(scene.limits),
-                'points: how far off the surface, mm (NOT the accuracy)')
-    _draw_scale(figure, 0.36, colours.ERROR, colours.most_error(scene.limits),
-                'bone: error to expect there (predicted TRE), mm')
-    figure.text(0.02, 0.03, f'{used.sum()} points lie on the bone; grey: {(~used).sum()} not used',
+    used = scene.weights > INLIER_WEIGHT
+    _draw_scale(figure, 0.02, colours.RESIDUAL, colours.max_residual(scene.limits),
+                'points: distance from the surface, mm (NOT the accuracy)')
+    _draw_scale(figure, 0.36, colours.ERROR, colours.max_error(scene.limits),
+                'bone: expected error (predicted TRE), mm')
+    figure.text(0.02, 0.03, f'{used.sum()} points on the bone; grey: {(~used).sum()} not used',
                 fontsize=10, color='#444444')
 
 

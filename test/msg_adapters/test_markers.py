@@ -14,8 +14,8 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from std_msgs.msg import ColorRGBA  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
-from gsdf_registration.node.scene import MOST_FACES  # noqa: E402
-from gsdf_registration.visualization.decimation import reduced  # noqa: E402
+from gsdf_registration.node.scene import MAX_FACES  # noqa: E402
+from gsdf_registration.visualization.decimation import decimate  # noqa: E402
 from msg_adapters import markers  # noqa: E402
 from msg_adapters.marker_cdr import Shape, to_bytes  # noqa: E402
 
@@ -69,14 +69,14 @@ def test_shapes_are_those_of_ros() -> None:
 
 def test_a_bone_of_300_000_faces_stays_below_2_mb_with_all_that_is_on_it() -> None:
     ball = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
-    vertices, faces = reduced(ball.vertices, ball.faces.astype(np.int32), MOST_FACES)
+    vertices, faces = decimate(ball.vertices, ball.faces.astype(np.int32), MAX_FACES)
     most = np.ones((10_000, 3))
     size = len(to_bytes([*markers.bone(vertices, faces, np.ones((len(vertices), 3))),
                          *markers.points(most, most),
                          *markers.patches(most, most, 0.008, ['1: 0.8 mm'] * len(most), GREEN)],
                         'bone'))
     assert 1_000_000 < size < 2_000_000
-    assert 120 * MOST_FACES + 40 * markers.MOST_POINTS + 10_000 < 2_000_000     # the worst of all
+    assert 120 * MAX_FACES + 40 * markers.MOST_POINTS + 10_000 < 2_000_000     # the worst of all
 
 
 def test_the_bone_is_triangles_in_metres_in_its_colours() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours say what they are said to say."""
+"""The colour scales of points and bone."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from gsdf_registration.visualization import colours
 
 
 def lightness(shades: np.ndarray) -> np.ndarray:
-    """Return the relative luminance, which the colour-blind see too."""
+    """Return the relative luminance, which is independent of colour blindness."""
     linear = np.where(shades <= 0.04045, shades / 12.92, ((shades + 0.055) / 1.055) ** 2.4)
     return np.asarray(linear @ [0.2126, 0.7152, 0.0722])
 
 
-def test_a_scale_runs_from_end_to_end_and_stays_there() -> None:
+def test_a_scale_is_clipped_at_its_limit() -> None:
     shades = colours.on_scale(np.array([0.0, 0.002, 5.0]), colours.RESIDUAL, 0.002)
     assert shades[0] == pytest.approx(colours.rgb(colours.RESIDUAL[0]))
     assert shades[1] == pytest.approx(colours.rgb(colours.RESIDUAL[-1]))
     assert shades[2] == pytest.approx(shades[1])
 
 
-def test_points_are_grey_when_they_do_not_bear_the_pose() -> None:
+def test_points_that_are_not_inliers_are_grey() -> None:
     shades = colours.residual_colours(np.array([0.0, -0.002, 0.0, np.nan]),
                                       np.array([1.0, 1.0, 0.5, 1.0]), LimitsConfig(max_sigma=0.002))
     assert shades[0] == pytest.approx(colours.rgb(colours.RESIDUAL[0]))
@@ -31,7 +31,7 @@ def test_points_are_grey_when_they_do_not_bear_the_pose() -> None:
     assert shades[2:] == pytest.approx(np.tile(colours.rgb(colours.UNUSED), (2, 1)))
 
 
-def test_the_more_error_the_darker_the_bone() -> None:
+def test_the_bone_darkens_with_the_expected_error() -> None:
     limits = LimitsConfig(max_predicted_tre=0.5)
     shades = colours.error_colours(np.linspace(0.0, 1.0, 20), limits)
     assert (np.diff(lightness(shades)) < 0.0).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a registration: what it says, and that it stands alone."""
+"""The HTML report: its contents, and that it needs no other file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import trimesh
 
 pytest.importorskip('plotly')
 
-from smooth_bone import LANDMARKS, T_TRACKER_BONE, bone_field, touched
+from smooth_bone import LANDMARKS, T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration import __version__
 from gsdf_registration.cli.main import main
@@ -24,7 +24,7 @@ from gsdf_registration.common.result import InputError, Reason, RegistrationResu
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation, transform
 from gsdf_registration.field import Field
 from gsdf_registration.registration.pipeline import register
-from gsdf_registration.visualization import scene, write_report
+from gsdf_registration.visualization import report_scene, write_report
 from msg_adapters.bag_writer import BagWriter
 
 OUTLIERS = 20
@@ -39,7 +39,7 @@ def field() -> Field:
 @pytest.fixture(scope='module')
 def points() -> Array:
     """Return points in the tracker frame, some of them far off the bone."""
-    on_bone = touched(400, sigma=0.0002)
+    on_bone = touched_points(400, sigma=0.0002)
     on_bone[:OUTLIERS] *= 1.3
     return transform(T_TRACKER_BONE, on_bone)
 
@@ -60,17 +60,17 @@ def page(result: RegistrationResult, field: Field, points: Array,
 
 
 def without_plotly(page: str) -> str:
-    """Return a page without plotly's own script, the longest there is."""
+    """Return a page without the script of plotly, the longest one."""
     return page.replace(max(re.findall(r'<script.*?</script>', page, re.DOTALL), key=len), '')
 
 
 def text_of(page: str) -> str:
-    """Return what can be read without running scripts."""
+    """Return the text of a page without its scripts."""
     page = re.sub(r'<(script|style).*?</\1>', '', page, flags=re.DOTALL)
     return re.sub(r'\s+', ' ', re.sub(r'<[^>]+>', ' ', page))
 
 
-def test_the_page_stands_alone(page: str) -> None:
+def test_the_page_refers_to_no_other_file(page: str) -> None:
     assert len(page.encode()) < 6_000_000
     assert page.count('plotly.js v') == 1
     tags = re.findall(r'<(?:script|link|img|iframe)\b[^>]*>', page)
@@ -78,12 +78,12 @@ def test_the_page_stands_alone(page: str) -> None:
     assert 'http' not in without_plotly(page)
 
 
-def test_nothing_is_not_a_number(page: str) -> None:
+def test_no_value_is_missing_or_not_a_number(page: str) -> None:
     assert re.search(r'\bnan\b|\bnull\b|\bNone\b|Infinity', text_of(page), re.IGNORECASE) is None
     assert re.search(r'\bNaN\b|Infinity', without_plotly(page)) is None
 
 
-def test_a_pose_is_told_with_its_numbers(page: str, result: RegistrationResult) -> None:
+def test_a_pose_is_reported_with_its_numbers(page: str, result: RegistrationResult) -> None:
     text = text_of(page)
     T = result.T_tracker_bone
     assert T is not None and result.sigma_m is not None and result.weakest_direction is not None
@@ -106,14 +106,14 @@ def test_the_residual_is_never_called_accuracy(page: str) -> None:
     assert 'how well they fit, NOT how accurate' in text
 
 
-def test_what_was_given_is_text_and_no_markup(page: str) -> None:
+def test_titles_and_values_are_escaped(page: str) -> None:
     assert '<h1>a bone &amp; a probe</h1>' in page
     assert '&lt;b&gt;points&lt;/b&gt;.csv' in page and '<b>points' not in page
 
 
-def test_points_are_where_they_were_touched(result: RegistrationResult, field: Field,
+def test_points_are_drawn_at_their_places_on_the_bone(result: RegistrationResult, field: Field,
                                             points: Array) -> None:
-    bone, inliers, others, axis = scene.bone_scene(result, field, points).data
+    bone, inliers, others, axis = report_scene.bone_scene(result, field, points).data
     assert len(inliers.x) == result.inliers and len(others.x) == len(points) - result.inliers
     assert others.marker.symbol == 'circle-open'
     shown = np.stack([inliers.x, inliers.y, inliers.z], axis=1) / 1e3
@@ -126,7 +126,7 @@ def test_points_are_where_they_were_touched(result: RegistrationResult, field: F
 
 
 @pytest.mark.parametrize('with_field', [True, False])
-def test_a_refusal_shows_the_reason_and_points_alone(tmp_path: Path, field: Field, points: Array,
+def test_a_refusal_shows_the_reason_and_only_the_points(tmp_path: Path, field: Field, points: Array,
                                                      with_field: bool) -> None:
     message = 'another pose fits; touch the other side'
     refusal = RegistrationResult.refused(Reason.AMBIGUOUS, message, received=400,
@@ -136,8 +136,8 @@ def test_a_refusal_shows_the_reason_and_points_alone(tmp_path: Path, field: Fiel
     text = text_of(file.read_text())
     assert f'Refused: ambiguous {message}' in text
     assert 'There is no pose' in text and 'quaternion' not in text and '1.02' in text
-    assert 'Of the refused solution: Expected accuracy' in text
-    cloud, = scene.tracker_scene(points).data
+    assert 'Of the rejected candidate: Expected accuracy' in text
+    cloud, = report_scene.tracker_scene(points).data
     assert np.stack([cloud.x, cloud.y, cloud.z], axis=1) / 1e3 == pytest.approx(points, abs=1e-5)
 
 
@@ -148,13 +148,13 @@ def test_a_refusal_without_usable_points(tmp_path: Path, field: Field, points: A
     assert 'NaN' not in without_plotly((tmp_path / 'a.html').read_text())
 
 
-def test_many_points_are_thinned_out() -> None:
+def test_many_points_are_downsampled() -> None:
     many = np.random.default_rng(0).normal(size=(50_001, 3))
-    cloud, = scene.tracker_scene(many).data
-    assert 10_000 < len(cloud.x) <= scene.MOST_POINTS
+    cloud, = report_scene.tracker_scene(many).data
+    assert 10_000 < len(cloud.x) <= report_scene.MAX_POINTS
 
 
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, result: RegistrationResult,
+def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path, result: RegistrationResult,
                                                 field: Field, points: Array) -> None:
     with pytest.raises(InputError, match='nowhere'):
         write_report(tmp_path / 'nowhere/a.html', result, field, points, title='t', about={})
@@ -176,7 +176,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, points: Array, field: F
     return tmp_path
 
 
-def test_the_commands_write_the_page(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_register_and_replay_write_the_report(job: Path) -> None:
     assert main(['register', 'bone.ply', 'points.csv', '--unit', 'mm', '--initial', 'start.json',
                  '--report', 'a.html']) == 0
     assert main(['replay', 'run', '--model', 'bone.ply', '--initial', 'start.json',
@@ -192,13 +192,14 @@ def test_the_commands_write_the_page(job: Path, capsys: pytest.CaptureFixture[st
         assert 'Refused: wrong_unit' in text_of((job / name).read_text())
 
 
-def test_a_page_is_of_one_recording(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_of_two_recordings_is_refused(
+        job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['replay', 'run', 'run', '--model', 'bone.ply', '--report', 'a.html']) == 2
-    assert capsys.readouterr().err.startswith('gsdf: error: --report is the page of one recording')
+    assert capsys.readouterr().err.startswith('gsdf: error: --report describes one recording')
     assert not (job / 'a.html').exists()
 
 
-def test_without_plotly_one_sentence_says_what_to_install(job: Path) -> None:
+def test_without_plotly_the_error_says_what_to_install(job: Path) -> None:
     code = ('import sys; sys.modules["plotly"] = None; '
             'from gsdf_registration.cli.main import main; sys.exit(main(sys.argv[1:]))')
     command = ['register', 'bone.ply', 'points.csv', '--unit', 'mm', '--initial', 'start.json']

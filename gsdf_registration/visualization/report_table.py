@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a registration in millimetres and words; what is not known is left out."""
+"""The table of the report: the numbers of a registration in millimetres."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.common.rigid import quaternion_from_rotation
 
 Rows = list[tuple[str, str]]
-OVER_THE_BONE = {'rms': 'RMS over the bone', 'max': 'at most, anywhere'}
+WHOLE_BONE = {'rms': 'RMS over the bone', 'max': 'maximum on the bone'}
 
 
 def sections(result: RegistrationResult, about: Mapping[str, str]) -> dict[str, Rows]:
-    """Return the rows (name, value) of the table below their headings; ``about`` comes last."""
-    of_what = '' if result.success else 'Of the refused solution: '
+    """Return the rows (name, value) by heading, without unknown values; ``about`` comes last."""
+    candidate = '' if result.success else 'Of the rejected candidate: '
     known = {
-        'Pose of the bone in the frame of the points': _pose(result),
-        of_what + 'Expected accuracy (predicted TRE)': _accuracy(result),
-        of_what + 'Fit, NOT the accuracy': _fit(result),
+        'Pose of the bone in the tracker frame': _pose(result),
+        candidate + 'Expected accuracy (predicted TRE)': _accuracy(result),
+        candidate + 'Fit, NOT the accuracy': _fit(result),
         'Points': [('received', str(result.received)), ('used', str(result.used)),
                    ('inliers', str(result.inliers))],
         'Time': [(name, f'{seconds:.2f} s') for name, seconds in result.timing_s.items()],
@@ -38,19 +38,19 @@ def _pose(result: RegistrationResult) -> Rows:
 
 
 def _accuracy(result: RegistrationResult) -> Rows:
-    rows = [(OVER_THE_BONE.get(name, f'at {name}'), _mm(value))
+    rows = [(WHOLE_BONE.get(name, f'at {name}'), _mm(value))
             for name, value in result.predicted_tre_m.items() if value is not None]
     if result.weakest_direction is not None:
         rows.append(('weakest direction', result.weakest_direction.sentence))
     if result.runner_up_ratio is not None:
-        rows.append(('runner-up ratio', f'{result.runner_up_ratio:.2f}: how many times worse '
-                     'the next-best pose fits (cost)'))
+        rows.append(('runner-up ratio', f'{result.runner_up_ratio:.2f}: cost of the best '
+                     'alternative pose over that of this pose'))
     return rows
 
 
 def _fit(result: RegistrationResult) -> Rows:
     known = {'residual RMS of inliers': result.residual_rms_m,
-             'noise of a point, sigma': result.sigma_m}
+             'noise of a point (sigma)': result.sigma_m}
     return [(name, _mm(value)) for name, value in known.items() if value is not None]
 
 

@@ -1,28 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The residuals in the order of the points, where drift and a wrong model show; needs plotly."""
+"""Plot the residuals in the order of the points, which reveals drift; needs plotly."""
 
 from __future__ import annotations
 
 import numpy as np
 import plotly.graph_objects as go
 
-from gsdf_registration.common.result import ON_BONE, RegistrationResult
+from gsdf_registration.common.result import INLIER_WEIGHT, RegistrationResult
 
 
 def residual_figure(result: RegistrationResult) -> go.Figure:
-    """Return the residuals of a result; at first those of inliers, a double click shows all."""
+    """Return the plot, scaled to the inliers; a double click shows all."""
     assert result.residuals_m is not None and result.weights is not None
     known = np.isfinite(result.residuals_m)
     residuals = 1e3 * result.residuals_m
-    inlier = known & (result.weights > ON_BONE)
-    looks = {'inliers': (inlier, {'color': '#0969da', 'size': 4}),
+    inlier = known & (result.weights > INLIER_WEIGHT)
+    groups = {'inliers': (inlier, {'color': '#0969da', 'size': 4}),
              'outliers (weight 0.5 or less)':
              (known & ~inlier, {'color': '#6e7781', 'size': 5, 'symbol': 'circle-open'})}
     figure = go.Figure([
         go.Scattergl(x=np.flatnonzero(chosen).astype(np.int32), mode='markers', name=name,
                      y=residuals[chosen].astype(np.float32), marker=marker,
                      hovertemplate='point %{x}: %{y:.2f} mm<extra></extra>')
-        for name, (chosen, marker) in looks.items()])
+        for name, (chosen, marker) in groups.items()])
     reach = 1.3 * float(np.abs(residuals[inlier]).max()) if inlier.any() else 1.0
     figure.update_layout(
         height=340, margin={'l': 60, 'r': 20, 't': 40, 'b': 50}, plot_bgcolor='#f6f8fa',

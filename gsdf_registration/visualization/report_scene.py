@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bone and the points in space, millimetres; needs plotly."""
+"""Plot the bone and the points in 3D, in millimetres; needs plotly."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from gsdf_registration.common.result import ON_BONE, RegistrationResult, WeakestDirection
+from gsdf_registration.common.result import INLIER_WEIGHT, RegistrationResult, WeakestDirection
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import predicted_tre
-from gsdf_registration.visualization.decimation import reduced
+from gsdf_registration.visualization.decimation import decimate
 
 BONE, GREY = '#d8d3c8', '#6e7781'
 SIGNED = 'RdYlBu_r'     # yellow: on the surface
 HEAT = [[0, '#fff3b0'], [0.5, '#fb8d3c'], [1, '#99000d']]
-MOST_POINTS = 20_000    # more would only make the file heavy
-MOST_FACES = 30_000
+MAX_POINTS = 20_000     # more would only make the file larger
+MAX_FACES = 30_000
 HEIGHT = 620            # pixels
 
 
 def bone_scene(result: RegistrationResult, field: Field, points: Array) -> go.Figure:
     """
-    Return points on the bone, in the bone's frame.
+    Return the plot of the points on the bone, in the bone frame.
 
     Parameters
     ----------
@@ -43,21 +43,21 @@ def bone_scene(result: RegistrationResult, field: Field, points: Array) -> go.Fi
         traces.append(_axis(result.weakest_direction, field))
     figure = go.Figure(traces, _layout(camera=_camera(field, on_bone)))
     if result.covariance is not None and len(field.faces):
-        _offer_tre(figure, result)
+        _add_tre_button(figure, result)
     return figure
 
 
 def tracker_scene(points: Array) -> go.Figure:
-    """Return points (n, 3), m, alone: they have no place on the bone."""
-    points = _drawn(points, np.ones(len(points), bool))[0]
+    """Return the plot of points (n, 3), m, tracker frame, without the bone."""
+    points = _downsample(points, np.ones(len(points), bool))[0]
     return go.Figure([_dots(points, 'points', size=2.5, color='#0969da')], _layout())
 
 
 def _bone(field: Field) -> go.Mesh3d | go.Scatter3d:
-    """Return the bone; of a bone that came as a point cloud, the points."""
+    """Return the mesh of the bone, or its points if it is a point cloud."""
     if not len(field.faces):
         return _dots(field.surface_points, 'bone', size=1.5, color=BONE)
-    vertices, faces = reduced(field.vertices, field.faces, MOST_FACES)
+    vertices, faces = decimate(field.vertices, field.faces, MAX_FACES)
     x, y, z = _mm(vertices)
     i, j, k = np.ascontiguousarray(faces.T)
     return go.Mesh3d(x=x, y=y, z=z, i=i, j=j, k=k, name='bone', color=BONE, showlegend=True,
@@ -65,26 +65,26 @@ def _bone(field: Field) -> go.Mesh3d | go.Scatter3d:
 
 
 def _points(result: RegistrationResult, points: Array) -> list[go.Scatter3d]:
-    """Return inliers coloured by residual, and hollow the points that do not bear the pose."""
+    """Return the inliers, coloured by residual, and the other points, hollow."""
     if result.residuals_m is None or result.weights is None:
         return [_dots(points, 'points', size=3, color='#0969da')]
-    inlier = np.asarray((result.weights > ON_BONE) & np.isfinite(result.residuals_m))
-    inside, residuals = _drawn(points, inlier, 1e3 * result.residuals_m)
+    inlier = np.asarray((result.weights > INLIER_WEIGHT) & np.isfinite(result.residuals_m))
+    inside, residuals = _downsample(points, inlier, 1e3 * result.residuals_m)
     limit = float(np.percentile(np.abs(residuals), 98)) if len(residuals) else 1.0
     coloured = _dots(inside, 'inliers, by residual', size=3.5, color=residuals.astype(np.float32),
                      colorscale=SIGNED, cmin=-limit, cmax=limit,
                      colorbar=_bar('residual, mm<br>(fit, NOT<br>accuracy)'))
     coloured.hovertemplate = 'residual %{marker.color:.2f} mm<extra></extra>'
-    others = _dots(_drawn(points, ~inlier)[0], 'outliers or not used (hollow)', size=3.5,
+    others = _dots(_downsample(points, ~inlier)[0], 'outliers or not used (hollow)', size=3.5,
                    color=GREY, symbol='circle-open')
     return [coloured, others]
 
 
 def _axis(weakest: WeakestDirection, field: Field) -> go.Scatter3d:
-    """Return the axis of the motion that the points hold least."""
+    """Return the axis of the motion that the points constrain least."""
     ends = weakest.point + np.outer([-0.6, 0.6], field.extent * weakest.axis)
     x, y, z = _mm(ends)
-    return go.Scatter3d(x=x, y=y, z=z, mode='lines', name='axis of the least held motion',
+    return go.Scatter3d(x=x, y=y, z=z, mode='lines', name='axis of the least constrained motion',
                         hovertemplate=f'{weakest.sentence}<extra></extra>',
                         line={'color': '#8250df', 'width': 4, 'dash': 'dash'})
 
@@ -95,16 +95,16 @@ def _dots(points: Array, name: str, **marker: Any) -> go.Scatter3d:
                         hovertemplate='(%{x:.1f}, %{y:.1f}, %{z:.1f}) mm<extra></extra>')
 
 
-def _drawn(points: Array, chosen: NDArray[np.bool_],
+def _downsample(points: Array, chosen: NDArray[np.bool_],
            values: Array | None = None) -> tuple[Array, Array]:
-    """Return the chosen points and their values, thinned evenly if too many to draw."""
+    """Return the chosen points and their values, downsampled evenly if there are too many."""
     rows = np.flatnonzero(chosen & np.isfinite(points).all(axis=1))
-    rows = rows[::-(-len(rows) // MOST_POINTS) or 1]
+    rows = rows[::-(-len(rows) // MAX_POINTS) or 1]
     return points[rows], np.zeros(len(rows)) if values is None else values[rows]
 
 
 def _mm(points: Array) -> NDArray[np.float32]:
-    """Return metres (n, 3) as columns (3, n) of millimetres, no finer than can be seen."""
+    """Return metres (n, 3) as columns (3, n) of millimetres, rounded to 0.01 mm."""
     return np.ascontiguousarray(np.round(1e3 * np.asarray(points, np.float64), 2).T, np.float32)
 
 
@@ -113,7 +113,7 @@ def _bar(title: str, x: float = 1.0) -> dict[str, Any]:
 
 
 def _camera(field: Field, points: Array) -> dict[str, Any]:
-    """Look at the side of the bone that was touched, from outside."""
+    """Return a camera that looks at the touched side of the bone."""
     _, outward = field.sample(points[np.isfinite(points).all(axis=1)])
     x, y, z = (float(value) for value in 1.5 * outward.mean(axis=0)
                / max(float(np.linalg.norm(outward.mean(axis=0))), 0.1))
@@ -130,8 +130,8 @@ def _layout(**scene: Any) -> go.Layout:
                      scene={'aspectmode': 'data', **axes, **scene})
 
 
-def _offer_tre(figure: go.Figure, result: RegistrationResult) -> None:
-    """Let the reader colour the bone by predicted TRE instead of the points by residual."""
+def _add_tre_button(figure: go.Figure, result: RegistrationResult) -> None:
+    """Add buttons to colour the bone by predicted TRE or the points by residual."""
     bone = figure.data[0]
     corners = np.stack([bone.x, bone.y, bone.z], axis=1).astype(np.float64) / 1e3
     assert result.T_tracker_bone is not None and result.covariance is not None
