@@ -74,7 +74,7 @@ def gauss_newton_steps(field, fine, points, R, t, scales, cost):
 
 @kernel
 def _step(A, b, dx, R, t):
-    """Take the step of the normal equations; return False if the points do not constrain it."""
+    """Take the step of the normal equations; return False if A is singular."""
     for i in range(6):
         A[i, i] *= 1.001    # limits sliding of points on a sphere
     if not solve_cholesky(A, b, dx):

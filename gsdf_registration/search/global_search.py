@@ -38,7 +38,7 @@ from gsdf_registration.search.start_poses import (
     super_fibonacci,
 )
 
-# m: starts within this distance converge to the pose; about the distance between neighbouring starts
+# m: starts within this distance converge to the pose; about the distance between adjacent starts
 CAPTURE_RANGE = 0.02
 # m: one point per voxel is used, and poses that move the points by less are the same pose; above
 # the noise of a tracker, below the size of the features of a bone

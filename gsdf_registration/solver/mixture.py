@@ -44,7 +44,7 @@ ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 @kernel
 def expectation_maximization(field, points, R, t, neighbours, weight, curvature, e, J, history,
-                             estimates, annealed, anneal_to_noise, annealing_factor, reach,
+                             estimates, annealed, anneal_to_noise, annealing_factor, thickness,
                              tolerance):
     """
     Run EM with one Gauss-Newton step per iteration, in place on ``R`` (3, 3), ``t`` (3,).
@@ -56,7 +56,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
     annealed : whether the standard deviation of the local means starts at its estimate; if false,
         it falls by ``annealing_factor`` per iteration (graduated non-convexity) until it gets there
     anneal_to_noise : whether it is annealed down to the value that white noise gives
-    reach : range of the interference around the bone
+    thickness : of the layer around the bone in which interference is modelled
     tolerance : EM stops when the step is shorter
 
     Returns (termination, iterations, log-likelihood, whether the points are consistent with white
@@ -78,20 +78,20 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
     last = len(history) - 1
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
-        _local_means(e, neighbours, reach, work, mean)
+        _local_means(e, neighbours, thickness, work, mean)
         # In late iterations the estimates are frozen and steps shrink; otherwise the pose could
         # oscillate across a crease
         late = iteration - len(history) // 4
         estimating = late <= 0
         if estimating:
-            noise = _white_noise(e, mean, K, reach, floor, work)
+            noise = _white_noise(e, mean, K, thickness, floor, work)
         white = noise / math.sqrt(K)
         estimated = annealed    # in the previous iteration, which the last one requires
         if not annealed:
             end = white if anneal_to_noise else spread
             local_sd = max(local_sd * annealing_factor, end)
             annealed = local_sd == end
-        on_bone, variance, likely = _expectation(e, mean, inlier_ratio, noise, local_sd, reach,
+        on_bone, variance, likely = _expectation(e, mean, inlier_ratio, noise, local_sd, thickness,
                                                  weight)
         spread = min(max(math.sqrt(variance), white), max(limit, white))
         if annealed and estimating:
@@ -118,7 +118,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
     white = noise / math.sqrt(K)
     consistent = _is_consistent(mean, white)
     return (CONVERGED if converged else MAX_ITERATIONS, iteration + 1,
-            _log_likelihood(mean, K, inlier_ratio, white if consistent else local_sd, reach),
+            _log_likelihood(mean, K, inlier_ratio, white if consistent else local_sd, thickness),
             consistent)
 
 
@@ -151,11 +151,11 @@ def _is_consistent(mean, white):
 
 
 @kernel
-def _local_means(e, neighbours, reach, near, mean):
+def _local_means(e, neighbours, thickness, near, mean):
     """Fill ``mean`` (n,) with the mean residual of each point's neighbours, without far points."""
     n, K = neighbours.shape
     for k in range(n):
-        close = abs(e[k]) < 2.0 * reach
+        close = abs(e[k]) < 2.0 * thickness
         near[2 * k] = e[k] if close else 0.0
         near[2 * k + 1] = 1.0 if close else 0.0
     for k in range(n):
@@ -168,12 +168,12 @@ def _local_means(e, neighbours, reach, near, mean):
 
 
 @kernel
-def _white_noise(e, mean, K, reach, floor, difference):
+def _white_noise(e, mean, K, thickness, floor, difference):
     """Return the noise (SD) from differences to local means, which a wrong pose hardly affects."""
     count = 0
     for k in range(len(e)):
         difference[count] = abs(e[k] - mean[k])
-        count += abs(mean[k]) < reach
+        count += abs(mean[k]) < thickness
     # median absolute deviation; the mean contains 1/K of the point itself
     if count == 0:
         return floor
@@ -181,7 +181,7 @@ def _white_noise(e, mean, K, reach, floor, difference):
 
 
 @kernel
-def _expectation(e, mean, inlier_ratio, noise, local_sd, reach, weight):
+def _expectation(e, mean, inlier_ratio, noise, local_sd, thickness, weight):
     """
     Fill ``weight`` with the probability that each point is on the bone.
 
@@ -189,7 +189,7 @@ def _expectation(e, mean, inlier_ratio, noise, local_sd, reach, weight):
     number of points that are more likely on the bone than not.
     """
     on_bone = squared = likely = 0.0
-    inside, outside = _odds_at_zero(inlier_ratio, local_sd, reach)
+    inside, outside = _odds_at_zero(inlier_ratio, local_sd, thickness)
     per_local_sd, per_noise = 1.0 / local_sd, 1.0 / noise
     for k in range(len(e)):
         m = mean[k] * per_local_sd
@@ -204,10 +204,10 @@ def _expectation(e, mean, inlier_ratio, noise, local_sd, reach, weight):
 
 
 @kernel
-def _log_likelihood(mean, K, inlier_ratio, local_sd, reach):
+def _log_likelihood(mean, K, inlier_ratio, local_sd, thickness):
     """Return the log-likelihood of the local means; as neighbours overlap, each counts 1/K."""
-    inside, outside = _odds_at_zero(inlier_ratio, local_sd, reach)
-    likelihood = len(mean) * math.log((1.0 - inlier_ratio) / reach)
+    inside, outside = _odds_at_zero(inlier_ratio, local_sd, thickness)
+    likelihood = len(mean) * math.log((1.0 - inlier_ratio) / thickness)
     product = 1.0
     for k in range(len(mean)):
         m = mean[k] / local_sd
@@ -223,9 +223,9 @@ def _log_likelihood(mean, K, inlier_ratio, local_sd, reach):
 
 
 @kernel
-def _odds_at_zero(inlier_ratio, local_sd, reach):
+def _odds_at_zero(inlier_ratio, local_sd, thickness):
     """Return the log-odds of a local mean near zero, just inside the bone and just outside."""
-    odds = math.log(inlier_ratio / (1.0 - inlier_ratio) / (ROOT_2PI * local_sd / reach))
+    odds = math.log(inlier_ratio / (1.0 - inlier_ratio) / (ROOT_2PI * local_sd / thickness))
     return odds - math.log(1.0 - OUTSIDE_SHARE), odds - math.log(OUTSIDE_SHARE)
 
 
@@ -246,8 +246,8 @@ def patch_likelihood(e: Array, neighbours: NDArray[np.int64], local_sd: float) -
 
 
 @kernel
-def _patch_likelihood(e, neighbours, local_sd, reach):
+def _patch_likelihood(e, neighbours, local_sd, thickness):
     n, K = neighbours.shape
     mean = np.zeros(n)
-    _local_means(e, neighbours, reach, np.zeros(2 * n), mean)
-    return _log_likelihood(mean, K, 0.5, local_sd, reach)
+    _local_means(e, neighbours, thickness, np.zeros(2 * n), mean)
+    return _log_likelihood(mean, K, 0.5, local_sd, thickness)

@@ -18,7 +18,7 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver import Solution, gauss_newton, local_solver, solve
-from gsdf_registration.solver.paper import algorithm_1
+from gsdf_registration.solver.paper import DISCARD_BELOW, algorithm_1
 
 PAPER = SolverConfig(method='paper')
 LAW = settings(deadline=None, max_examples=15)
@@ -103,7 +103,7 @@ def test_weights_are_cauchy_weights() -> None:
     np.testing.assert_allclose(solution.weights[kept],
                                1.0 / (1.0 + (distance[kept] / 1e-3)**2),
                                atol=1e-6)
-    assert (solution.weights[kept] >= local_solver.DISCARD_BELOW).all()
+    assert (solution.weights[kept] >= DISCARD_BELOW).all()
     # d(w e)/de of the Cauchy weight
     u = (distance[kept] / 1e-3)**2
     np.testing.assert_allclose(solution.curvature[kept], (1.0 - u) / (1.0 + u)**2, atol=1e-6)
