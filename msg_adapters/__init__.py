@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The only place that knows messages, frames, units, file formats; it hands out arrays in SI."""
+"""Adapters for messages and file formats, which convert them to and from arrays in SI units."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read rosbag2 recordings of the probe's tip and what moves with it, without ROS."""
+"""Read the probe tip, the reference array and frames from rosbag2 recordings, without ROS."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from rosbags.typesys import Stores, get_typestore
 from gsdf_registration.common.result import InputError
 from msg_adapters import stamps
 from msg_adapters.bag_storage import BagFiles, Raw, Topic
-from msg_adapters.motion import NO_MOTION, motion_from
-from msg_adapters.recording import Motion, Recording
+from msg_adapters.motion import INVALID_TRANSFORM, to_matrix
+from msg_adapters.recording import RecordedTransform, Recording
 
 POINT = 'geometry_msgs/msg/PointStamped'
 POSE = 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
-FRAMES = {'/tf': False, '/tf_static': True}     # whether what it tells holds for all times
+FRAMES = {'/tf': False, '/tf_static': True}     # whether a transform is valid for all times
 TIP_TOPIC = '/probe/tip'
-# the tip resting on landmarks: no points of the surface scan
+# the stationary tip at landmarks, not points of the scan
 LANDMARK_TOPIC = '/probe/landmarks'
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
-# where each message type that can be read keeps the position
+# The position in each message type that can be read
 POSITION: dict[str, Callable[[Any], Any]] = {
     POINT: lambda message: message.point,
     POSE: lambda message: message.pose.position,
@@ -36,7 +36,7 @@ POSITION: dict[str, Callable[[Any], Any]] = {
 
 def list_topics(path: str | os.PathLike[str]) -> list[Topic]:
     """
-    Return the topics of a bag: name, message type, number of messages.
+    Return the topics of a bag with message type and number of messages.
 
     Raises
     ------
@@ -50,40 +50,41 @@ def list_topics(path: str | os.PathLike[str]) -> list[Topic]:
 def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
              reference: str = '', frames: bool = False) -> Recording:
     """
-    Read the positions in a rosbag2 recording (mcap or sqlite3 storage) in the order received.
+    Read positions from a rosbag2 recording (mcap or sqlite3 storage) in the order received.
 
     Parameters
     ----------
     path : path
-        The bag's directory, or one of its storage files.
+        Directory of the bag, or one of its storage files.
     topics : sequence of str, optional
-        PointStamped, PoseStamped or TransformStamped topics; by default /probe/tip, or else the
-        only PointStamped topic besides /probe/landmarks.
+        PointStamped, PoseStamped or TransformStamped topics. The default is /probe/tip, or the only
+        PointStamped topic other than /probe/landmarks.
     reference : str, optional
-        PoseStamped topic of the reference array, for `Recording.motions`.
+        PoseStamped topic of the reference array, for `Recording.transforms`.
     frames : bool, optional
-        Whether those shall hold what is told on /tf and /tf_static too.
+        Whether `Recording.transforms` also contains those of /tf and /tf_static.
 
     Returns
     -------
     Recording
-        m and s; stamps are those of the message headers, not the times of reception.
+        In m and s; the stamps are those of the headers, not the times of reception.
 
     Raises
     ------
     InputError
-        If the bag is missing, damaged or empty, or the topics are not there, not clear, or of
-        another type.
+        If the bag is missing, damaged or empty, or the topics are missing, ambiguous or of another
+        type.
 
     """
     bag = BagFiles(path)
     types = {topic.name: topic.msgtype for topic in bag.topics()}
-    names = _chosen(bag.path, types, topics)
+    names = _select_topics(bag.path, types, topics)
     if reference and types.get(reference) != POSE:
         raise InputError(f'{path} has no poses of the reference array, PoseStamped on {reference} '
-                         f'(reference.topic): it has {_listed(types)}')
-    told = [name for name in FRAMES if frames and types.get(name) == TF]
-    messages = bag.messages([*names, *([reference] if reference else []), *told])
+                         f'(reference.topic); it has {_listed(types)}')
+    tf_topics = [name for name in FRAMES if frames and types.get(name) == TF]
+    messages = bag.messages([*names, *([reference] if reference else []),
+                             *tf_topics])
     points = [raw for raw in messages if raw.topic in names]
     if not points:
         raise InputError(f'{path} has no messages on {", ".join(names)}')
@@ -91,28 +92,27 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     return Recording(
         positions=positions, stamps=times, frame_ids=frame_ids, source_names=names,
         sources=np.array([names.index(raw.topic) for raw in points], np.int32),
-        motions=_motions(bag.path, messages, names), notes=tuple(bag.notes))
+        transforms=_transforms(bag.path, messages, names), notes=tuple(bag.notes))
 
 
-def _chosen(path: Path, types: dict[str, str], wanted: Sequence[str] | None) -> list[str]:
-    """Return the topics to be read, or raise `InputError` with what there is."""
-    there = _listed(types)
+def _select_topics(path: Path, types: dict[str, str], wanted: Sequence[str] | None) -> list[str]:
+    """Return the topics to read; raise `InputError` with the available ones if there are none."""
+    available = _listed(types)
     if wanted is None:
-        points = [
-            name for name, msgtype in types.items() if msgtype == POINT and name != LANDMARK_TOPIC
-        ]
+        points = [name for name, msgtype in types.items()
+                  if msgtype == POINT and name != LANDMARK_TOPIC]
         names = [TIP_TOPIC] if TIP_TOPIC in points else points
         if len(names) != 1:
             raise InputError(
-                f'{path} has {len(names) or "no"} PointStamped topics that could be the tip: '
-                f'choose one; it has {there}')
+                f'{path} has {len(names) or "no"} PointStamped topics that could be the tip; '
+                f'choose one of its topics: {available}')
         return names
     names = list(dict.fromkeys(wanted))
     bad = [name for name in names if types.get(name) not in POSITION]
     if bad or not names:
         raise InputError(
             f'{path} has no topic {", ".join(bad)} of type PointStamped, PoseStamped or '
-            f'TransformStamped: it has {there}')
+            f'TransformStamped; it has {available}')
     return names
 
 
@@ -135,37 +135,39 @@ def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np
 
 
 def _message(path: Path, i: int, raw: Raw) -> Any:
-    """Return message number ``i`` of those read."""
+    """Deserialize message number ``i`` of those read."""
     try:
         return TYPES.deserialize_cdr(raw.data, raw.msgtype)
-    except Exception:  # damaged bytes lead the decoder to any exception
+    except Exception:  # damaged bytes can cause any exception in the decoder
         raise InputError(
             f'{path} is damaged: message {i + 1} on {raw.topic} cannot be decoded') from None
 
 
-def _motions(path: Path, messages: list[Raw], points: Sequence[str]) -> list[Motion]:
-    """Return what the messages tell of the reference array and frames, between ``points``."""
-    motions, after = [], 0
+def _transforms(path: Path, messages: list[Raw], points: Sequence[str]) -> list[RecordedTransform]:
+    """Return the transforms in the messages, with the number of ``points`` before each."""
+    transforms, after = [], 0
     for i, raw in enumerate(messages):
         if raw.topic in points:
             after += 1
         elif raw.topic in FRAMES:
             for each in _message(path, i, raw).transforms:
                 motion = each.transform
-                motions.append(_motion(after, each.header, motion.translation, motion.rotation,
-                                       each.child_frame_id, FRAMES[raw.topic]))
+                transforms.append(_transform(after, each.header, motion.translation,
+                                             motion.rotation, each.child_frame_id,
+                                             FRAMES[raw.topic]))
         else:
             message = _message(path, i, raw)
-            motions.append(_motion(after, message.header, message.pose.position,
-                                   message.pose.orientation))
-    return motions
+            transforms.append(_transform(after, message.header, message.pose.position,
+                                         message.pose.orientation))
+    return transforms
 
 
-def _motion(after: int, header: Any, position: Any, orientation: Any, child: str = '',
-            fixed: bool = False) -> Motion:
+def _transform(after: int, header: Any, position: Any, orientation: Any, child: str = '',
+               fixed: bool = False) -> RecordedTransform:
+    """Return a transform; its matrix is `INVALID_TRANSFORM` if it is not a rigid motion."""
     try:
-        T = motion_from(position, orientation)
+        T = to_matrix(position, orientation)
     except InputError:
-        T = NO_MOTION
+        T = INVALID_TRANSFORM
     stamp = stamps.to_seconds(header.stamp.sec, header.stamp.nanosec)
-    return Motion(after, stamp, T, header.frame_id, child, fixed)
+    return RecordedTransform(after, stamp, T, header.frame_id, child, fixed)

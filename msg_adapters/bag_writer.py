@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write rosbag2 recordings of the probe's tip and of the reference array, without ROS."""
+"""Write rosbag2 recordings of the probe tip and of the reference array, without ROS."""
 
 from __future__ import annotations
 
@@ -25,17 +25,16 @@ if TYPE_CHECKING:
 
 class BagWriter:
     """
-    Write positions and poses, as PointStamped and PoseStamped, into a new rosbag2 (mcap).
+    A context manager that writes PointStamped and PoseStamped messages to a new rosbag2 (mcap).
 
-    A context manager; the same calls give the same bytes, and if the block is left by an exception
-    no bag is left behind.
+    Equal calls write equal bytes. If the block raises an exception, the bag is removed.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Prepare a bag at ``path``; `InputError` if something is there already."""
+        """Prepare a bag at ``path``; raise `InputError` if the path exists."""
         self.path = Path(path)
         if self.path.exists():
-            raise InputError(f'{path} exists already: remove it or write to another place')
+            raise InputError(f'{path} exists already; remove it or choose another path')
         self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Connection] = {}
 
@@ -49,7 +48,7 @@ class BagWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        """Write index and metadata, or remove what was begun."""
+        """Write index and metadata, or remove the bag after an exception."""
         if kind is None:
             self._writer.close()
         else:
@@ -63,34 +62,34 @@ class BagWriter:
                     frame_id: str,
                     received: float | None = None) -> None:
         """
-        Append one point.
+        Append a point.
 
         Parameters
         ----------
         topic : str
-            Name of the topic.
+            Topic name.
         stamp : float
-            Of the header, s.
+            Stamp of the header, s.
         position : (3,) float
             In ``frame_id``, m.
         frame_id : str
-            Of the header.
+            Frame of the header.
         received : float, optional
-            Time of reception, s, which orders the messages of a bag; by default the stamp.
+            Time of reception, s, which defines the order of messages; the default is the stamp.
 
         """
         self._write(topic, POINT, _point(position), stamp, frame_id, received)
 
     def write_pose(self, topic: str, stamp: float, T: Array, frame_id: str,
                    received: float | None = None) -> None:
-        """Append one pose ``T`` (4, 4), m, in ``frame_id``; the rest as `write_point`."""
-        turn = TYPES.types['geometry_msgs/msg/Quaternion'](*quaternion_from_rotation(T[:3, :3]))
-        pose = TYPES.types['geometry_msgs/msg/Pose'](_point(T[:3, 3]), turn)
+        """Append a pose ``T`` (4, 4), m, in ``frame_id``; see `write_point`."""
+        rotation = TYPES.types['geometry_msgs/msg/Quaternion'](*quaternion_from_rotation(T[:3, :3]))
+        pose = TYPES.types['geometry_msgs/msg/Pose'](_point(T[:3, 3]), rotation)
         self._write(topic, POSE, pose, stamp, frame_id, received)
 
     def _write(self, topic: str, msgtype: str, body: Any, stamp: float, frame_id: str,
                received: float | None) -> None:
-        """Append a message of a header and one thing more."""
+        """Append a message that consists of a header and ``body``."""
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=TYPES)
         time = stamps.to_nanoseconds(stamp)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A MarkerArray as the bytes that go over the wire, straight from arrays.
+Serialize a MarkerArray directly from arrays.
 
-For rclpy every corner of a triangle is a Python object of its own, and while it turns those of a
-bone into a message no other thread of the process runs: points and the live pose would wait.
-Publishers take bytes in place of a message.
+rclpy needs a Python object for each corner of a triangle. While it converts those of a bone, it
+holds the GIL, which delays points and the live pose. Publishers also accept serialized messages.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 
 
 class Shape(IntEnum):
-    """Marker types of visualization_msgs/Marker that we draw."""
+    """The types of visualization_msgs/Marker that are used."""
 
     ARROW = 0
     CYLINDER = 3
@@ -32,14 +31,14 @@ class Shape(IntEnum):
 @dataclass(frozen=True, eq=False)
 class Marker:
     """
-    One visualization_msgs/Marker; without a shape it deletes what it replaces.
+    A visualization_msgs/Marker; without a shape it deletes the marker with this namespace and id.
 
-    ns, id : what it replaces
+    ns, id : namespace and number
     scale : m, x y z
     pose : (4, 4) float, m, in the frame of the array
     points : (n, 3) float, m, in the frame of ``pose``
-    colours : (3,) or (4,) float of all, or (n, 4) of each point, red green blue alpha in [0, 1]
-    text : of a label
+    colours : (3,) or (4,) float for all points, or (n, 4) for each; red green blue alpha in [0, 1]
+    text : str, of a label
     """
 
     ns: str
@@ -56,7 +55,7 @@ def to_bytes(markers: Sequence[Marker], frame_id: str) -> bytes:
     """
     Return markers in ``frame_id`` as a serialized visualization_msgs/MarkerArray.
 
-    They carry no stamp and are locked to their frame: whoever draws them uses the latest transform.
+    They have a zero stamp and are locked to their frame: viewers use the latest transform.
     """
     cdr = _Cdr()
     cdr.pack('I', len(markers))
@@ -66,56 +65,56 @@ def to_bytes(markers: Sequence[Marker], frame_id: str) -> bytes:
 
 
 def _write(cdr: _Cdr, marker: Marker, frame_id: str) -> None:
-    """Write the fields in the order of visualization_msgs/Marker of Jazzy."""
+    """Write the fields of visualization_msgs/Marker of Jazzy in order."""
     add = marker.shape is not None
     pose = np.eye(4) if marker.pose is None else marker.pose
     colours = np.ones(4) if marker.colours is None else marker.colours
     one = np.append(colours, 1.0)[:4] if colours.ndim == 1 else np.ones(4)
     each = np.zeros((0, 4)) if colours.ndim == 1 else colours
-    cdr.pack('iI', 0, 0)                        # header: no stamp
+    cdr.pack('iI', 0, 0)                        # stamp of the header
     cdr.text(frame_id)
     cdr.text(marker.ns)
     cdr.pack('iii', marker.id, marker.shape or 0, 0 if add else 2)     # ADD or DELETE
     cdr.pack('3d4d', *pose[:3, 3], *quaternion_from_rotation(pose[:3, :3]))
     cdr.pack('3d', *marker.scale)
     cdr.pack('4f', *one)
-    cdr.pack('iI?', 0, 0, True)                 # for ever, locked to the frame
+    cdr.pack('iI?', 0, 0, True)                 # lifetime, frame_locked
     cdr.array(np.zeros((0, 3)) if marker.points is None else marker.points, '<f8')
     cdr.array(each, '<f4')
-    cdr.text('')                                # no texture: name, image, coordinates
+    cdr.text('')                                # texture: resource, image, coordinates
     cdr.pack('iI', 0, 0)
     cdr.text('')
     cdr.text('')
     cdr.pack('II', 0, 0)
     cdr.text(marker.text)
-    cdr.text('')                                # no mesh: name, file, materials
+    cdr.text('')                                # mesh: resource, file, materials
     cdr.text('')
     cdr.pack('I?', 0, False)
 
 
 class _Cdr:
-    """Plain CDR, little endian (OMG DDSI-RTPS 2.3, 10.5): all is aligned to its own size."""
+    """Plain CDR, little endian (OMG DDSI-RTPS 2.3, 10.5): values are aligned to their size."""
 
     def __init__(self) -> None:
-        self._parts = [b'\x00\x01\x00\x00']     # says: little endian; not counted in alignment
+        self._parts = [b'\x00\x01\x00\x00']     # encapsulation header, not part of the alignment
         self._size = 0
 
     def joined(self) -> bytes:
         return b''.join(self._parts)
 
     def pack(self, kinds: str, *values: float) -> None:
-        """Write numbers; ``kinds`` as in struct, of the same size or falling."""
+        """Write numbers; ``kinds`` is a struct format with sizes that do not increase."""
         self._align(struct.calcsize(kinds.lstrip('0123456789')[0]))
         self._add(struct.pack('<' + kinds, *values))
 
     def text(self, text: str) -> None:
-        """Write a string, which ends with a zero."""
+        """Write a zero-terminated string."""
         encoded = text.encode() + b'\x00'
         self.pack('I', len(encoded))
         self._add(encoded)
 
     def array(self, rows: Array, kind: str) -> None:
-        """Write a sequence of structures of numbers of one kind."""
+        """Write a sequence of structures of numbers of one type."""
         self.pack('I', len(rows))
         if len(rows):
             self._align(np.dtype(kind).itemsize)

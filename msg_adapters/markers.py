@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What ~/markers shows: the bone, the points touched, where to touch next; metres, bone frame.
+The markers of ~/markers: the bone, touched points and the next places to touch; m, bone frame.
 
-Every function returns all markers of its namespaces, those that are not there any more as
-deletions: a message says all there is to be seen, so that nothing flickers, and a viewer that comes
-late or misses a message shows nothing stale.
+Every function returns all markers of its namespaces, and deletions of those that are no longer
+shown. A message is thus complete: markers do not flicker, and a viewer that starts late or misses a
+message shows no stale markers.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from gsdf_registration.common.rigid import Array, from_rt
 from msg_adapters.marker_cdr import Marker, Shape
 
-MOST_POINTS = 4000      # more would be one blot
-MOST_PATCHES = 5        # numbered markers that a message speaks of
+MAX_POINTS = 4000       # more points would overlap
+MAX_PATCHES = 5         # number of patches in a message
 POINT = 0.0025          # m, diameter of a touched point
-DOT = 0.002             # m, of a point of a bone that came as a point cloud
+DOT = 0.002             # m, diameter of a point of a point-cloud model
 ARROW = 0.03            # m, from the tail to the patch
 LETTER = 0.008          # m, height of a capital
 
@@ -33,9 +33,9 @@ def bone(vertices: Array, faces: NDArray[np.int32], colours: Array) -> list[Mark
     ----------
     vertices : (n, 3) float, m
     faces : (m, 3) int
-        Without any, the vertices are drawn as dots.
+        Without faces, the vertices are drawn as dots.
     colours : (n, 3) float
-        Of the vertices, red green blue in [0, 1].
+        Colours of the vertices, red green blue in [0, 1].
 
     """
     if not len(faces):
@@ -46,10 +46,10 @@ def bone(vertices: Array, faces: NDArray[np.int32], colours: Array) -> list[Mark
 
 
 def points(positions: Array, colours: Array) -> list[Marker]:
-    """Return touched points (n, 3), m, in their colours (n, 3); thinned evenly if too many."""
+    """Return touched points (n, 3), m, with colours (n, 3); at most `MAX_POINTS` of them."""
     if not len(positions):
         return [Marker('points', 0)]
-    every = -(-len(positions) // MOST_POINTS)
+    every = -(-len(positions) // MAX_POINTS)
     return [Marker('points', 0, Shape.SPHERE_LIST, (POINT, POINT, POINT),
                    points=positions[::every], colours=_opaque(colours[::every]))]
 
@@ -57,19 +57,19 @@ def points(positions: Array, colours: Array) -> list[Marker]:
 def patches(positions: Array, normals: Array, radius: float, labels: Sequence[str],
             colour: Array) -> list[Marker]:
     """
-    Return patches to touch next: a disc on the bone, an arrow to it, a label above.
+    Return the patches to touch next: a disc on the bone with an arrow and a label.
 
     Parameters
     ----------
     positions, normals : (n, 3) float, m
-        On the bone, best first; the first `MOST_PATCHES` are shown.
+        On the bone, best first; the first `MAX_PATCHES` are shown.
     radius : float, m, of a disc
     labels : sequence of n str
     colour : (3,) float
 
     """
     markers = []
-    for k in range(MOST_PATCHES):
+    for k in range(MAX_PATCHES):
         if k < len(positions):
             pose = from_rt(_upright(normals[k]), positions[k])
             tail = np.array([[0.0, 0.0, ARROW], [0.0, 0.0, 0.0]])
@@ -87,12 +87,12 @@ def patches(positions: Array, normals: Array, radius: float, labels: Sequence[st
 
 
 def _opaque(colours: Array) -> Array:
-    """Return colours (n, 3) with an alpha of one."""
+    """Return colours (n, 3) with an alpha of one, (n, 4)."""
     return np.column_stack([colours, np.ones(len(colours))])
 
 
 def _upright(normal: Array) -> Array:
-    """Return a rotation (3, 3) that turns z into ``normal``."""
+    """Return a rotation (3, 3) that maps z to ``normal``."""
     aside = np.eye(3)[np.argmin(np.abs(normal))]
     x = np.cross(aside, normal)
     x /= np.linalg.norm(x)

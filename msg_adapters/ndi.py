@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Tracker recordings as NDI's Track software writes them (CSV, millimetres).
+Read tracker recordings of the NDI Track software (CSV, millimetres).
 
-One line a frame: the number of tools, then a block a tool, led by its label,
-``Port ...,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers`` (or Q0,Qx,Qy,Qz for the
-angles). Optical trackers append State,Tx,Ty,Tz of every marker.  Blocks may differ in length from
-line to line, so they are found by their labels.
+Each line is a frame: the number of tools, then a block for each tool that starts with its label,
+``Port ...,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers`` (or Q0,Qx,Qy,Qz instead of
+the angles). Optical trackers append State,Tx,Ty,Tz of every marker. The length of a block can
+change from line to line, so that blocks are found by their labels.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from msg_adapters.files import METRES, read_text
@@ -26,7 +26,7 @@ NEEDED = ('State', 'Tx', 'Ty', 'Tz')
 
 
 class _Tool(NamedTuple):
-    """A tool's block: label, start, name -> offset from there, number of markers' columns."""
+    """The block of a tool: label, start, name -> offset, number of columns of its markers."""
 
     label: str
     start: int
@@ -35,7 +35,7 @@ class _Tool(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """What is kept of one good line, still in the file's unit."""
+    """The values of a valid line, in the unit of the file."""
 
     position: list[float]
     error: float
@@ -44,7 +44,7 @@ class _Sample(NamedTuple):
 
 
 def is_ndi(path: str | os.PathLike[str]) -> bool:
-    """Tell an NDI tracker CSV by its header."""
+    """Return whether a file is an NDI tracker CSV, judged by its header."""
     return _is_header(_cells(read_text(path).lstrip().partition('\n')[0]))
 
 
@@ -55,30 +55,30 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
     Parameters
     ----------
     path : path
-        Of the CSV.
+        CSV file.
     tool : str, optional
-        Part of the tool's port label; not needed if the file has only one tool.
+        Part of the port label of the tool; not needed if the file has only one tool.
 
     Returns
     -------
     Recording
-        m and s; samples whose State is not OK are dropped and counted as 'tracking_state'; the
-        Error column is the quality; stamps are None if the file has no times.
+        In m and s. Samples whose State is not OK are dropped and counted as 'tracking_state'. The
+        quality is the Error column. The stamps are None if the file has no times.
 
     Raises
     ------
     InputError
-        If this is no such file, a good line has a value that is no number, the tool is not there or
-        not clear, or it was never tracked.
+        If the file has another format, a valid line has a value that is not a number, the tool is
+        missing or ambiguous, or it was never tracked.
 
     """
     text = enumerate(read_text(path).splitlines(), start=1)
     lines = [(number, _cells(line)) for number, line in text if line.strip()]
     if not lines or not _is_header(lines[0][1]):
         raise InputError(
-            f'{path} is no NDI tracker CSV: its header is not Tools,...,{",".join(NEEDED)}')
+            f'{path} is not an NDI tracker CSV: its header is not Tools,...,{",".join(NEEDED)}')
     tools = _tools(lines[0][1])
-    chosen = _chosen(path, tools, tool)
+    chosen = _select_tool(path, tools, tool)
     labels = {each.label for each in tools}
     samples, lost = [], 0
     for number, cells in lines[1:]:
@@ -91,7 +91,7 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
     if not samples:
         raise InputError(
             f'{path}: {chosen.label} was never tracked '
-            f'({counted(lost, "line")}, none with State OK)')
+            f'({format_count(lost, "line")}, none with State OK)')
     errors = np.array([sample.error for sample in samples]) * METRES['mm']
     return Recording(
         positions=np.array([sample.position for sample in samples]) * METRES['mm'],
@@ -101,41 +101,43 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
 
 
 def _cells(line: str) -> list[str]:
-    """Return the cells of a line, stripped."""
+    """Return the stripped cells of a line."""
     return [cell.strip() for cell in next(csv.reader([line.strip()]), [''])]
 
 
 def _is_header(cells: list[str]) -> bool:
-    """Tell whether a line is the header of an NDI tracker CSV."""
+    """Return whether a line is the header of an NDI tracker CSV."""
     return cells[0] == 'Tools' and set(NEEDED) <= set(cells)
 
 
 def _tools(header: list[str]) -> list[_Tool]:
-    """Return the tools of a header: each block's label stands before its Frame column."""
+    """Return the tools of a header; the label of a block precedes its Frame column."""
     starts = [i - 1 for i, name in enumerate(header) if name == 'Frame' and i > 0] or [0]
     tools = []
     for start, end in zip(starts, [*starts[1:], len(header)]):
         names = ['Time' if name.startswith('Time') else name for name in header[start:end]]
-        # of repeated names the first is the tool's, the later ones are its markers'
+        # the first of repeated names belongs to the tool, the others to its markers
         columns = {name: names.index(name) for name in names if name}
         tools.append(_Tool(header[start], start, columns, len(names) - len(columns)))
     return tools
 
 
-def _chosen(path: str | os.PathLike[str], tools: list[_Tool], wanted: str | None) -> _Tool:
-    """Return the tool that is wanted, or the only one."""
+def _select_tool(path: str | os.PathLike[str], tools: list[_Tool], wanted: str | None) -> _Tool:
+    """Return the requested tool, or the only one."""
     found = [tool for tool in tools if wanted is None or wanted.lower() in tool.label.lower()]
     if len(found) != 1:
-        what = 'several tools' if wanted is None else f'{len(found) or "no"} tools like {wanted!r}'
+        what = ('several tools' if wanted is None
+                else f'{len(found) or "no"} tools that match {wanted!r}')
         raise InputError(
-            f'{path} has {what}: choose one of {"; ".join(tool.label for tool in tools)}')
+            f'{path} has {what}; choose one of {"; ".join(tool.label for tool in tools)}')
     if not set(NEEDED) <= set(found[0].columns):
-        raise InputError(f'{path}: {found[0].label} has not all of the columns {", ".join(NEEDED)}')
+        raise InputError(f'{path}: {found[0].label} does not have all of the columns '
+                         f'{", ".join(NEEDED)}')
     return found[0]
 
 
 def _block(cells: list[str], tool: _Tool, labels: set[str]) -> list[str]:
-    """Return a tool's cells in a line; none if the line names only other tools."""
+    """Return the cells of a tool in a line, empty if the line has only other tools."""
     starts = [i for i, cell in enumerate(cells) if cell in labels]
     if not starts:
         return cells[tool.start:]
@@ -144,15 +146,15 @@ def _block(cells: list[str], tool: _Tool, labels: set[str]) -> list[str]:
 
 
 def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
-    """Return the numbers of a block whose State is OK."""
+    """Return the numbers of a block with State OK."""
     width = len(tool.columns)
     while len(block) > width and not block[-1]:
         block = block[:-1]
     extra = len(block) - width
-    # markers come in groups of four cells; all else, as a decimal comma, would shift the columns
+    # markers have four cells each; anything else, such as decimal commas, shifts the columns
     if extra not in (*range(0, tool.extra, 4), tool.extra):
         raise InputError(
-            f'{where}: has {counted(len(block), "value")} for {tool.label} where {width} are '
+            f'{where}: has {format_count(len(block), "value")} for {tool.label} where {width} are '
             'expected (numbers need a decimal point)')
     cells = {name: block[i] for name, i in tool.columns.items()}
     time = cells.get('Time', '')
@@ -161,17 +163,17 @@ def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
         return _Sample(position, float(cells.get('Error') or 'nan'),
                        float(time) if time else None, number)
     except ValueError:
-        raise InputError(f'{where}: State is OK but Time, Tx, Ty, Tz or Error is no number '
-                         '(numbers need a decimal point)') from None
+        raise InputError(f'{where}: State is OK but Time, Tx, Ty, Tz or Error is not a '
+                         'number (numbers need a decimal point)') from None
 
 
 def _stamps(path: str | os.PathLike[str], samples: list[_Sample]) -> Array | None:
-    """Return the times, or None if no sample has one."""
+    """Return the times, or None if no sample has a time."""
     times = np.array([np.nan if sample.time is None else sample.time for sample in samples])
     if all(sample.time is None for sample in samples):
         return None
     if not np.isfinite(times).all():
         line = samples[int(np.argmin(np.isfinite(times)))].line
         raise InputError(
-            f'{path}, line {line}: the time is empty or not finite, but other lines have one')
+            f'{path}, line {line}: the time is empty or not finite, but other lines have a time')
     return times

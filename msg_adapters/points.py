@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Bone models, touched points and landmarks from files.
+Read bone models, touched points and landmarks from files.
 
-Their unit is said by the caller, never guessed.
+Units are explicit: the caller passes the unit of a file.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from msg_adapters import ndi
-from msg_adapters.files import metres_per, readable_file
+from msg_adapters.files import readable_file, unit_scale
 from msg_adapters.mesh import load_surface
 from msg_adapters.recording import Recording
 from msg_adapters.table import Table, read_table
@@ -30,7 +30,7 @@ NORMAL = ('nx', 'ny', 'nz')
 
 
 class Landmarks(NamedTuple):
-    """Names, positions in the bone frame (k, 3) m, and where touched, tracker frame (k, 3) m."""
+    """Names, positions in the bone frame and touched points in the tracker frame, (k, 3) m."""
 
     names: list[str]
     model: Array
@@ -40,31 +40,33 @@ class Landmarks(NamedTuple):
 def read_model(path: str | os.PathLike[str],
                unit: str) -> tuple[Array, NDArray[np.int32] | None, Array | None]:
     """
-    Read a bone's surface as it stands in its file: a mesh, or points with normals.
+    Read the surface of a bone, a mesh or a point cloud with normals, without repair.
 
-    STL, PLY, OBJ and OFF are read as meshes (several bodies become one); a PLY without faces, XYZ
-    and CSV as points with normals, ``nx, ny, nz`` or the last three of six columns.
+    STL, PLY, OBJ and OFF files are meshes; several bodies are merged. A PLY file without faces, XYZ
+    and CSV files are point clouds, with normals in ``nx, ny, nz`` or in the last three of six
+    columns.
 
     Parameters
     ----------
     path : path
-        Of the file.
+        File to read.
     unit : {'mm', 'm'}
-        Of its lengths.
+        Unit of length of the file.
 
     Returns
     -------
     vertices : (n, 3) float64, m, bone frame
-    faces : (m, 3) int32, or None for points
+    faces : (m, 3) int32, or None for a point cloud
     normals : (n, 3) float64, or None for a mesh
 
     Raises
     ------
     InputError
-        If the file is missing, damaged, cut short, of unknown kind, or has no faces and no normals.
+        If the file is missing, damaged, truncated or of unknown type, or has neither faces nor
+        normals.
 
     """
-    scale = metres_per(unit)
+    scale = unit_scale(unit)
     path = readable_file(path)
     kind = path.suffix.lower()
     if kind in MESHES:
@@ -77,13 +79,13 @@ def read_model(path: str | os.PathLike[str],
         normals = table.numbers(*(NORMAL if named else range(3, 6))) if has_normals else None
     else:
         raise InputError(
-            f'{path}: a model is an STL, PLY, OBJ or OFF file, or points with normals as PLY, '
-            'XYZ or CSV')
+            f'{path}: a model must be an STL, PLY, OBJ or OFF file, or points with normals as '
+            'PLY, XYZ or CSV')
     if faces is None and normals is None:
         raise InputError(
-            f'{path} has neither faces nor normals: give a mesh, or points with nx, ny, nz')
+            f'{path} has neither faces nor normals; use a mesh, or points with nx, ny, nz')
     if not np.isfinite(vertices).all() or (normals is not None and not np.isfinite(normals).all()):
-        raise InputError(f'{path} has coordinates that are not finite: export the model again')
+        raise InputError(f'{path} has coordinates that are not finite; export the model again')
     return vertices * scale, faces, normals
 
 
@@ -91,62 +93,66 @@ def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
     """
     Read touched points.
 
-    CSV, TXT and XYZ with a header that names x, y, z in any order (and, if there, t/time/stamp in
-    seconds, quality/error in ``unit``, stroke, frame_id) or with x y z and no header; PLY; or an
-    NDI tracker CSV, known by its header.
+    The file is one of the following.
+
+    - CSV, TXT or XYZ with a header with x, y, z in any order, and optionally t/time/stamp in
+      seconds, quality/error in ``unit``, stroke and frame_id
+    - CSV, TXT or XYZ with columns x y z and no header
+    - PLY
+    - NDI tracker CSV, detected by its header
 
     Parameters
     ----------
     path : path
-        Of the file.
+        File to read.
     unit : {'mm', 'm'}
-        Of its lengths.
+        Unit of length of the file.
 
     Returns
     -------
     Recording
-        In metres; rows whose coordinates are empty or not finite are kept for the gates to count.
+        In metres; rows with coordinates that are empty or not finite are kept, and rejected later.
 
     Raises
     ------
     InputError
-        If the file cannot be read as one of these, or holds no points; the sentence names the line.
+        If the file has another format or no points; the message names the line.
 
     """
-    scale = metres_per(unit)
+    scale = unit_scale(unit)
     path = readable_file(path)
     kind = path.suffix.lower()
     if kind == '.ply':
         surface = load_surface(path)
         if surface.faces is not None:
-            raise InputError(f'{path} has faces: it is a surface and not a list of touched points')
+            raise InputError(f'{path} has faces; touched points must be a PLY file without faces')
         return Recording(surface.vertices * scale, source_names=[path.name])
     if kind not in TEXTS:
         raise InputError(
-            f'{path}: points are a CSV, TXT or XYZ file with x, y, z, a PLY, or an NDI tracker '
-            'CSV')
+            f'{path}: points must be a CSV, TXT or XYZ file with x, y, z, a PLY file, or an NDI '
+            'tracker CSV')
     if ndi.is_ndi(path):
         if unit != 'mm':
-            raise InputError(f'{path} is an NDI tracker file, which is in mm: say unit mm')
+            raise InputError(f'{path} is an NDI tracker CSV, which is in mm; set the unit to mm')
         return ndi.read_ndi(path)
     return _recording(_points_table(path), path.name, scale)
 
 
 def _points_table(path: Path) -> Table:
-    """Read a table that has x, y, z by name, or three or six columns and no header."""
+    """Read a table with columns x, y, z, or with three or six columns and no header."""
     table = read_table(path, wanted=XYZ)
     if table.columns and not set(XYZ) <= set(table.columns):
         raise InputError(f'{path}: the columns {", ".join(table.columns)} do not include x, y, z')
     if not table.rows:
         raise InputError(f'{path} has no points')
     if not table.columns and len(table.rows[0]) not in (3, 6):
-        raise InputError(f'{path} has {counted(len(table.rows[0]), "column")} and no header: '
-                         'name them in the first line (x,y,z ...)')
+        raise InputError(f'{path} has {format_count(len(table.rows[0]), "column")} and no header; '
+                         'add the names of the columns as the first line (x,y,z ...)')
     return table
 
 
 def _recording(table: Table, name: str, scale: float) -> Recording:
-    """Turn a table of points into a recording."""
+    """Convert a table of points to a recording."""
     time, quality = table.first_of('t', 'time', 'stamp'), table.first_of('quality', 'error')
     return Recording(
         positions=table.numbers(*(XYZ if table.columns else range(3))) * scale,
@@ -158,7 +164,7 @@ def _recording(table: Table, name: str, scale: float) -> Recording:
 
 
 def _finite(table: Table, column: str) -> Array:
-    """Return a column that must have a finite number on every line."""
+    """Return a column; raise `InputError` if a value is not finite."""
     values = table.numbers(column)[:, 0]
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
@@ -168,12 +174,12 @@ def _finite(table: Table, column: str) -> Array:
 
 
 def _whole(table: Table, column: str) -> NDArray[np.int32]:
-    """Return a column of whole numbers."""
+    """Return a column of whole numbers; raise `InputError` for other values."""
     values = _finite(table, column)
     bad = np.flatnonzero((values != np.round(values)) | (np.abs(values) > 2**31 - 1))
     if len(bad):
         raise InputError(
-            f'{table.path}, line {table.lines[bad[0]]}: the {column} is no whole number')
+            f'{table.path}, line {table.lines[bad[0]]}: the {column} is not a whole number')
     return values.astype(np.int32)
 
 
@@ -181,14 +187,14 @@ def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> 
     """
     Read pairs of landmarks from CSV.
 
-    Its header: ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``.
+    The header is ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``.
 
     Parameters
     ----------
     path : path
-        Of the file.
+        File to read.
     model_unit, unit : {'mm', 'm'}
-        Of the model and of the tracker columns.
+        Units of length of the model and of the tracker columns.
 
     Returns
     -------
@@ -198,7 +204,7 @@ def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> 
     Raises
     ------
     InputError
-        If a column is missing, a number is missing or not finite, a name stands twice, or there are
+        If a column is missing, a number is missing or not finite, a name is duplicate, or there are
         no rows.
 
     """
@@ -212,9 +218,9 @@ def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> 
     if not table.rows:
         raise InputError(f'{path} has no landmarks')
     names = table.text('name')
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f'{path}: the landmark {twice!r} stands there twice')
+    duplicate = next((name for name in names if names.count(name) > 1), None)
+    if duplicate is not None:
+        raise InputError(f'{path}: the landmark {duplicate!r} is not unique')
     model, tracker = (np.column_stack([_finite(table, name) for name in side])
                       for side in (model_names, tracker_names))
-    return Landmarks(names, model * metres_per(model_unit), tracker * metres_per(unit))
+    return Landmarks(names, model * unit_scale(model_unit), tracker * unit_scale(unit))

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-What every reader yields.
-
-The tip's positions as plain arrays in SI, in the order they were recorded.
-"""
+"""A recording of tip positions, as arrays in SI units in the order received."""
 
 from __future__ import annotations
 
@@ -19,15 +15,15 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 
 
-class Motion(NamedTuple):
+class RecordedTransform(NamedTuple):
     """
-    What was recorded of how frames lie: a pose of the reference array, or a transform of /tf.
+    A recorded pose of the reference array, or a transform of /tf.
 
-    after : points that were received before it
-    stamp : s
-    T_parent_child : (4, 4) float64, m; NaN where the message held no motion
-    parent, child : frames; no child: it is a pose of the reference array
-    fixed : whether it holds for all times
+    after : int, number of points received before it
+    stamp : float, s
+    T_parent_child : (4, 4) float64, m; NaN if the message was not a rigid motion
+    parent, child : str, frames; the child of a pose of the reference array is empty
+    fixed : bool, whether it is valid for all times, as on /tf_static
     """
 
     after: int
@@ -41,20 +37,19 @@ class Motion(NamedTuple):
 @dataclass(eq=False)
 class Recording:
     """
-    Tip positions and what is known of each.
+    The recorded positions of the tip.
 
     positions : (n, 3) float64, m, each in its frame of `frame_ids`; rows that are not finite are
-        kept for the
-        gates to count
+        kept, and rejected later
     stamps : (n,) float64, s, or None if the source has no time
-    frame_ids : n names; one string given stands for all
-    sources : (n,) int32, index into `source_names`; left out: all of the first
-    source_names : topics, tools or files the points came from
-    quality : (n,) float64, m, the tracker's own error estimate (NaN: unknown), or None
-    strokes : (n,) int32, number of the stroke, or None if the source has no strokes
-    motions : of the reference array and of frames, in the order they were received
-    dropped : samples the source itself marks as invalid, by cause
-    notes : sentences on what was odd but could be read
+    frame_ids : sequence of n str, or one str for all points
+    sources : (n,) int32, index into `source_names`; the default is 0
+    source_names : topics, tools or files of the points
+    quality : (n,) float64, m, error estimated by the tracker, NaN if unknown; or None
+    strokes : (n,) int32, stroke numbers; or None
+    transforms : of the reference array and of /tf, in the order received
+    dropped : dict, number of samples that the source marks as invalid, by cause
+    notes : sentences on defects of the source that could be read anyway
     """
 
     positions: Array
@@ -64,12 +59,12 @@ class Recording:
     source_names: Sequence[str] = ('',)
     quality: Array | None = None
     strokes: NDArray[np.int32] | None = None
-    motions: Sequence[Motion] = ()
+    transforms: Sequence[RecordedTransform] = ()
     dropped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Bring all to arrays of one length; `ValueError` says which does not fit."""
+        """Convert all fields to arrays of equal length; raise `ValueError` if they are invalid."""
         self.positions = _array(self.positions, np.float64, 'positions', (-1, 3))
         n = len(self)
         self.frame_ids = [self.frame_ids] * n if isinstance(self.frame_ids, str) else list(
@@ -96,42 +91,41 @@ class Recording:
 
 
 def _array(values: Any, dtype: Any, name: str, shape: tuple[int, ...]) -> Any:
-    """Return ``values`` as a C-contiguous array of ``shape``, where -1 stands for any length."""
+    """Return ``values`` as a C-contiguous array of ``shape``, in which -1 is any length."""
     array = np.ascontiguousarray(values, dtype=dtype)
     if array.size == 0 and shape[0] in (-1, 0):
         array = array.reshape((0, *shape[1:]))
     if array.ndim != len(shape) or any(want not in (-1, got)
                                        for want, got in zip(shape, array.shape)):
-        raise ValueError(f'{name} has shape {array.shape}, wanted {shape}')
+        raise ValueError(f'{name} has shape {array.shape}, expected {shape}')
     return array
 
 
 def merge(recordings: Sequence[Recording]) -> Recording:
     """
-    Return several recordings as one, in the order of their stamps.
+    Merge recordings in the order of their stamps.
 
-    Each recording keeps its own order, so that the gates still see a clock that ran backwards;
-    without stamps they follow one another as given.  Sources of one name become one; strokes stay
-    apart; where only some recordings have strokes, each of the others is one stroke; quality that
-    is unknown becomes NaN; a motion follows the point that it followed.
+    The order within a recording is kept, so that stamps that go back are still rejected later.
+    Recordings without stamps are concatenated. Sources with the same name are merged. Strokes of
+    different recordings stay separate; if only some recordings have strokes, each of the others is
+    one stroke. Unknown quality becomes NaN. A transform stays after the point that it followed.
 
     Raises
     ------
     InputError
-        If there are none, or some have stamps and others do not.
+        If there are no recordings, or only some of them have stamps.
 
     """
     if not recordings:
         raise InputError('there are no recordings to merge')
     if len({r.stamps is None for r in recordings}) > 1:
         raise InputError(
-            'some of the recordings have stamps and some have none: they cannot be put in order')
+            'only some of the recordings have stamps, so that they cannot be ordered')
     names = list(dict.fromkeys(name for r in recordings for name in r.source_names))
-    sources = [
-        np.array([names.index(name) for name in r.source_names])[r.sources] for r in recordings
-    ]
+    sources = [np.array([names.index(name) for name in r.source_names])[r.sources]
+               for r in recordings]
     stamps = [r.stamps for r in recordings if r.stamps is not None]
-    whole = Recording(
+    merged = Recording(
         positions=np.concatenate([r.positions for r in recordings]),
         stamps=np.concatenate(stamps) if stamps else None,
         frame_ids=[frame for r in recordings for frame in r.frame_ids],
@@ -139,17 +133,17 @@ def merge(recordings: Sequence[Recording]) -> Recording:
         quality=_joined_quality(recordings), strokes=_joined_strokes(recordings),
         dropped=dict(sum((Counter(r.dropped) for r in recordings), Counter())),
         notes=tuple(note for r in recordings for note in r.notes))
-    order = np.arange(len(whole))
+    order = np.arange(len(merged))
     if stamps:
         latest_seen = np.concatenate([np.maximum.accumulate(s) for s in stamps])
         order = np.argsort(latest_seen, kind='stable')
-        _reorder(whole, order)
-    whole.motions = _joined_motions(recordings, np.argsort(order))
-    return whole
+        _reorder(merged, order)
+    merged.transforms = _joined_transforms(recordings, np.argsort(order))
+    return merged
 
 
 def _reorder(recording: Recording, order: NDArray[np.intp]) -> None:
-    """Put the points of ``recording`` in ``order``."""
+    """Sort the points of ``recording`` by the indices ``order``."""
     recording.frame_ids = [recording.frame_ids[i] for i in order]
     for name in ('positions', 'stamps', 'sources', 'quality', 'strokes'):
         values = getattr(recording, name)
@@ -157,20 +151,19 @@ def _reorder(recording: Recording, order: NDArray[np.intp]) -> None:
             setattr(recording, name, values[order])
 
 
-def _joined_motions(recordings: Sequence[Recording], rows: NDArray[np.intp]) -> list[Motion]:
-    """Return all motions; ``rows``: where each point of the recordings, as given, has gone."""
+def _joined_transforms(recordings: Sequence[Recording],
+                       rows: NDArray[np.intp]) -> list[RecordedTransform]:
+    """Return all transforms; ``rows`` are the new indices of the concatenated points."""
     joined, first = [], 0
     for r in recordings:
-        joined += [
-            motion._replace(after=int(rows[first + motion.after - 1]) + 1 if motion.after else 0)
-            for motion in r.motions
-        ]
+        joined += [each._replace(after=int(rows[first + each.after - 1]) + 1 if each.after else 0)
+                   for each in r.transforms]
         first += len(r)
-    return sorted(joined, key=lambda motion: motion.after)
+    return sorted(joined, key=lambda each: each.after)
 
 
 def _joined_quality(recordings: Sequence[Recording]) -> Array | None:
-    """Return the quality of all points one after another, None if no recording has any."""
+    """Return the concatenated quality, or None if no recording has any."""
     if all(r.quality is None for r in recordings):
         return None
     return np.concatenate(
@@ -178,7 +171,7 @@ def _joined_quality(recordings: Sequence[Recording]) -> Array | None:
 
 
 def _joined_strokes(recordings: Sequence[Recording]) -> NDArray[np.int32] | None:
-    """Return stroke numbers that no two recordings share, None if no recording has any."""
+    """Return the concatenated stroke numbers, distinct between recordings, or None without any."""
     if all(r.strokes is None for r in recordings):
         return None
     joined, offset = [], 0

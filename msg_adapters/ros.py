@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-ROS messages from arrays and results, and back; what is drawn is in `markers`.
+Convert between ROS messages and arrays; see `markers` for markers.
 
-Metres, radians and seconds; quaternions x y z w; covariances row by row in the order x y z rx ry rz
-about fixed axes (REP-103).
+Lengths are in metres, angles in radians, times in seconds. Quaternions are x y z w. Covariances are
+row-major in the order x y z rx ry rz about fixed axes (REP-103).
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from gsdf_registration.common.samples import Sample
 from msg_adapters import stamps
-from msg_adapters.motion import motion_from
+from msg_adapters.motion import to_matrix
 
-# a point of ~/points: name and type of its fields, each of four bytes
+# Name and type of the fields of ~/points, four bytes each
 CLOUD = [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('residual', '<f4'), ('weight', '<f4'),
          ('stroke', '<i4')]
 FIELD_TYPES = {
@@ -67,16 +67,16 @@ def sample_from(message: PointStamped, topic: str = '', arrival: float | None = 
 
 
 def pose_from(message: PoseStamped) -> tuple[float, Array, str]:
-    """Return stamp (s), ``T_frame_body`` (4, 4), frame of a pose; `InputError` if no motion."""
+    """Return stamp (s), ``T_frame_body`` (4, 4) and frame; raise `InputError` as `to_matrix`."""
     pose, header = message.pose, message.header
-    return (stamp_to_seconds(header.stamp), motion_from(pose.position, pose.orientation),
+    return (stamp_to_seconds(header.stamp), to_matrix(pose.position, pose.orientation),
             header.frame_id)
 
 
 def transform_from(message: TransformStamped) -> tuple[float, Array, str, str]:
-    """Return stamp (s), ``T_parent_child`` (4, 4), parent, child; `InputError` if no motion."""
+    """Return stamp (s), ``T_parent_child`` (4, 4), parent, child; raise as `to_matrix`."""
     motion, header = message.transform, message.header
-    return (stamp_to_seconds(header.stamp), motion_from(motion.translation, motion.rotation),
+    return (stamp_to_seconds(header.stamp), to_matrix(motion.translation, motion.rotation),
             header.frame_id, message.child_frame_id)
 
 
@@ -99,7 +99,7 @@ def pose_with_covariance_msg(T: ArrayLike, covariance: ArrayLike, frame_id: str,
 
 
 def transform_msg(T: ArrayLike, parent: str, child: str, stamp: Time) -> TransformStamped:
-    """Return ``T_parent_child`` (4, 4) for /tf."""
+    """Return the transform ``T_parent_child`` (4, 4)."""
     T = np.asarray(T, dtype=np.float64)
     x, y, z = (float(value) for value in T[:3, 3])
     return TransformStamped(header=Header(stamp=stamp, frame_id=parent),
@@ -118,11 +118,11 @@ def cloud_msg(positions: ArrayLike, residual: ArrayLike, weight: ArrayLike, stro
     positions : (n, 3) float
         In ``frame_id``, m.
     residual : (n,) or scalar float
-        Distance to the surface, m; NaN where unknown.
+        Distance to the surface, m; NaN if unknown.
     weight : (n,) or scalar float
-        In [0, 1]; NaN where unknown.
+        In [0, 1]; NaN if unknown.
     stroke : (n,) or scalar int
-        Number of the stroke.
+        Stroke number.
     frame_id, stamp : str, Time
         Of the header.
 
@@ -136,18 +136,18 @@ def cloud_msg(positions: ArrayLike, residual: ArrayLike, weight: ArrayLike, stro
     return PointCloud2(
         header=Header(stamp=stamp, frame_id=frame_id), height=1, width=len(rows), fields=fields,
         is_bigendian=False, is_dense=False, point_step=rows.itemsize, row_step=rows.nbytes,
-        # an array is taken over as it is, bytes would be checked one by one
+        # rclpy accepts an array as it is, but checks bytes one by one
         data=array.array('B', rows.tobytes()))
 
 
 def cloud_to_arrays(message: PointCloud2) -> dict[str, NDArray[Any]]:
     """
-    Return the fields of any cloud by name, each (n,) or (n, count).
+    Return the fields of a point cloud by name, each (n,) or (n, count).
 
     Raises
     ------
     InputError
-        If its sizes do not fit its data.
+        If the description of the fields does not match the data.
 
     """
     order = '>' if message.is_bigendian else '<'
@@ -164,7 +164,7 @@ def cloud_to_arrays(message: PointCloud2) -> dict[str, NDArray[Any]]:
         rows = data.reshape(message.height, message.row_step)[:, :message.width * size]
         points = np.ascontiguousarray(rows).view(layout).reshape(n)
     except (ValueError, KeyError) as error:
-        raise InputError(f'the point cloud does not fit its own description: {error}') from None
+        raise InputError(f'the fields of the point cloud do not match its data: {error}') from None
     return {
         name: points[name].astype(points[name].dtype.newbyteorder('='))
         for name in layout.names or ()
@@ -173,7 +173,7 @@ def cloud_to_arrays(message: PointCloud2) -> dict[str, NDArray[Any]]:
 
 def diagnostic_status(name: str, level: bytes, message: str, values: Mapping[str, Any],
                       hardware_id: str = '') -> DiagnosticStatus:
-    """Return a status; ``level``: DiagnosticStatus.OK, WARN, ERROR, STALE; ``values``: to text."""
+    """Return a status of ``level`` DiagnosticStatus.OK, WARN, ERROR or STALE."""
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     return DiagnosticStatus(name=name,
                             level=level,
@@ -189,12 +189,12 @@ def _point(position: ArrayLike) -> Point:
 
 
 def _quaternion(T: Array) -> Quaternion:
-    """Return the rotation of a motion (4, 4)."""
+    """Return the rotation of a matrix (4, 4) as a quaternion."""
     x, y, z, w = (float(value) for value in quaternion_from_rotation(T[:3, :3]))
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def _pose(T: ArrayLike) -> Pose:
-    """Return a motion (4, 4) as a pose."""
+    """Return a matrix (4, 4) as a pose."""
     T = np.asarray(T, dtype=np.float64)
     return Pose(position=_point(T[:3, 3]), orientation=_quaternion(T))

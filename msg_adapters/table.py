@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Delimited text as people and programs write it.
-
-Comments, blank lines, any order and case of columns.
-"""
+"""Read delimited text with comments, blank lines, and columns in any order and case."""
 
 from __future__ import annotations
 
@@ -15,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from msg_adapters.files import read_text
@@ -26,9 +22,9 @@ class Table:
     """
     The cells of a text file.
 
-    columns : name in lower case -> index; empty if the file has no header
-    rows : cells of each line with values, stripped
-    lines : number of the line each row stands on, from 1
+    columns : lower-case name -> index; empty if the file has no header
+    rows : stripped cells of each line with values
+    lines : line number of each row, from 1
     """
 
     path: str
@@ -51,7 +47,7 @@ class Table:
         Raises
         ------
         InputError
-            If a cell is no number, naming its line.
+            If a cell is not a number; the message names the line.
 
         """
         indices = [self.columns[c] if isinstance(c, str) else c for c in columns]
@@ -61,22 +57,22 @@ class Table:
         except ValueError:
             line, cell = next((line, cell) for line, row in zip(self.lines, cells)
                               for cell in row if not _is_number(cell))
-        hint = ': use a decimal point' if re.fullmatch(r'-?\d+,\d+', cell) else ''
-        raise InputError(f'{self.path}, line {line}: {cell!r} is no number{hint}')
+        hint = '; use a decimal point' if re.fullmatch(r'-?\d+,\d+', cell) else ''
+        raise InputError(f'{self.path}, line {line}: {cell!r} is not a number{hint}')
 
 
 def read_table(path: str | os.PathLike[str], wanted: Iterable[str] = ()) -> Table:
     """
-    Read comma, semicolon, tab or blank separated text.
+    Read text that is separated by commas, semicolons, tabs or blanks.
 
-    The first line that is not all numbers is the header.  Blank lines and lines that begin with
-    ``#`` are skipped, but a comment that holds all ``wanted`` names is the header (as numpy.savetxt
-    writes it).
+    The header is the first line, if it has a cell that is not a number. Blank lines and lines that
+    begin with ``#`` are skipped, except that a comment with all ``wanted`` names is a header, as
+    written by numpy.savetxt.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or a line has fewer or more cells than the first.
+        If the file cannot be read, or a line has another number of cells than the first.
 
     """
     wanted = set(wanted)
@@ -93,7 +89,7 @@ def read_table(path: str | os.PathLike[str], wanted: Iterable[str] = ()) -> Tabl
         separator = separator or _separator(text)
         cells = _cells(text, separator)
         if comment:
-            # a comment may well have another separator than the data
+            # a comment can have another separator than the data
             names = [name.lower() for name in _cells(text, _separator(text))]
             if not rows and not columns and wanted and wanted <= set(names):
                 columns = _header(path, number, names)
@@ -108,40 +104,39 @@ def read_table(path: str | os.PathLike[str], wanted: Iterable[str] = ()) -> Tabl
 
 
 def _header(path: str | os.PathLike[str], number: int, names: list[str]) -> dict[str, int]:
-    """Return name -> index of a header's cells."""
+    """Return name -> index of the cells of a header."""
     while names and not names[-1]:
         names.pop()  # a separator at the end of the line
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f'{path}, line {number}: the column {twice!r} stands there twice')
+    duplicate = next((name for name in names if names.count(name) > 1), None)
+    if duplicate is not None:
+        raise InputError(f'{path}, line {number}: the column {duplicate!r} is not unique')
     return {name: i for i, name in enumerate(names)}
 
 
 def _fitted(path: str | os.PathLike[str], number: int, cells: list[str], width: int) -> list[str]:
-    """Return ``cells`` without empty ones past ``width``, or raise if they do not fit."""
+    """Return the first ``width`` cells; raise `InputError` if there are fewer or more."""
     if len(cells) < width or any(cells[width:]):
         raise InputError(
-            f'{path}, line {number}: has {counted(len(cells), "value")} where {width} are expected')
+            f'{path}, line {number}: has {format_count(len(cells), "value")} where {width} are '
+            'expected')
     return cells[:width]
 
 
 def _separator(text: str) -> str:
-    """Return what separates the cells of a line: the first of ; tab , found in it, else blanks."""
+    """Return the separator of a line: the first of ; tab , that it contains, else a blank."""
     return next((mark for mark in ';\t,' if mark in text), ' ')
 
 
 def _cells(text: str, separator: str) -> list[str]:
-    """Split a line into stripped cells, quotes removed."""
+    """Split a line into stripped cells without quotes."""
     if separator == ' ':
         return text.split()
-    return [
-        cell.strip()
-        for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True))
-    ]
+    return [cell.strip()
+            for cell in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
 
 
 def _is_number(cell: str) -> bool:
-    """Tell whether a cell reads as a float, NaN and infinity included."""
+    """Return whether a cell is a number, including NaN and infinity."""
     try:
         float(cell)
     except ValueError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground truth of a recording: a YAML of the same name beside it."""
+"""Read and write the ground truth of a recording, a YAML file beside it with the same name."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ SCHEMA = 'gsdf-truth/1'
 @dataclass(frozen=True, eq=False)
 class Truth:
     """
-    Where the bone of a recording really was.
+    The true pose of the bone in a recording.
 
-    model : file name of the bone's model, relative to the YAML's directory
-    model_unit : unit of that file, 'mm' or 'm'
-    frame_id : frame of the recorded points
+    model : str, path of the bone model relative to the YAML file
+    model_unit : 'mm' or 'm', unit of length of the model
+    frame_id : str, frame of the recorded points
     T_tracker_bone : (4, 4) float
-    landmark_names : names of the landmarks, in the order they were touched
+    landmark_names : of str, in the order in which the landmarks were touched
     landmarks_model : (k, 3) float, m, bone frame
-    landmarks_tracker : (k, 3) float, m, as touched, in the frame of the points
-    about : how the recording was made (noise, seed, command, ...), plain YAML values
+    landmarks_tracker : (k, 3) float, m, touched points, frame of the recorded points
+    about : dict, how the recording was made (noise, seed, command, ...), plain YAML values
     """
 
     model: str
@@ -43,7 +43,7 @@ class Truth:
     about: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Turn lists into arrays and check their shapes; `ValueError` if they do not fit."""
+        """Convert lists to arrays; raise `ValueError` if their shapes are invalid."""
         set_ = object.__setattr__
         set_(self, 'landmark_names', tuple(self.landmark_names))
         set_(self, 'T_tracker_bone', np.asarray(self.T_tracker_bone, dtype=np.float64))
@@ -52,20 +52,20 @@ class Truth:
         if not is_rigid(self.T_tracker_bone):
             raise ValueError('T_tracker_bone is not a rigid motion')
         if not len(self.landmark_names) == len(self.landmarks_model) == len(self.landmarks_tracker):
-            raise ValueError('the landmarks differ in number')
+            raise ValueError('the number of landmarks is not consistent')
         if self.model_unit not in METRES:
             raise ValueError(f'model_unit {self.model_unit!r} is neither mm nor m')
 
 
 def truth_path(bag: str | os.PathLike[str]) -> Path:
-    """Return where the ground truth of a bag (directory or storage file) lies."""
+    """Return the path of the ground truth of a bag (directory or storage file)."""
     bag = Path(bag)
     name = bag.stem if bag.suffix in ('.mcap', '.db3') else bag.name
     return bag.parent / f'{name}.yaml'
 
 
 def write_truth(path: str | os.PathLike[str], truth: Truth) -> None:
-    """Write ``truth`` as YAML, replacing what stood there in one step."""
+    """Write ``truth`` as YAML, replacing an existing file atomically."""
     landmarks = [{'name': name, 'model': model.tolist(), 'tracker': tracker.tolist()}
                  for name, model, tracker in zip(truth.landmark_names, truth.landmarks_model,
                                                  truth.landmarks_tracker)]
@@ -78,12 +78,12 @@ def write_truth(path: str | os.PathLike[str], truth: Truth) -> None:
 
 def read_truth(path: str | os.PathLike[str]) -> Truth:
     """
-    Read what `write_truth` wrote; metres.
+    Read a file that `write_truth` wrote.
 
     Raises
     ------
     InputError
-        If the file is missing, is no such YAML, or holds something else.
+        If the file is missing, is not valid YAML, or has another content.
 
     """
     try:
@@ -91,7 +91,7 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
     except yaml.YAMLError:
         raise InputError(f'{path} is not valid YAML') from None
     if not isinstance(document, dict) or document.get('schema') != SCHEMA:
-        raise InputError(f'{path} is no ground truth of schema {SCHEMA}')
+        raise InputError(f'{path} is not a ground truth of schema {SCHEMA}')
     try:
         landmarks = document['landmarks']
         return Truth(document['model'], document['model_unit'], document['frame_id'],
@@ -100,9 +100,9 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
                      np.array([mark['tracker'] for mark in landmarks]),
                      document['about'])
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f'{path} is a damaged ground truth: {_what(error)}') from None
+        raise InputError(f'{path} is a damaged ground truth: {_describe(error)}') from None
 
 
-def _what(error: Exception) -> str:
-    """Say in words what was wrong with the document."""
+def _describe(error: Exception) -> str:
+    """Return the defect of the document as text."""
     return f'{error.args[0]} is missing' if isinstance(error, KeyError) else str(error)

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Test reading and writing of rosbag2 recordings."""
+
+from __future__ import annotations
 
 import shutil
 
@@ -31,7 +34,7 @@ def point(nanoseconds, x, y, z, frame_id='tracker'):
 
 
 def record(path, messages, storage=StoragePlugin.MCAP, compressed=None):
-    """Write (topic, type, log time, message) as any recorder may do."""
+    """Write a bag with (topic, type, log time, message)."""
     writer = Writer(path, version=9, storage_plugin=storage)
     if compressed:
         writer.set_compression(compressed, CompressionFormat.ZSTD)
@@ -61,7 +64,7 @@ def refusal(*args):
 
 
 @pytest.mark.parametrize('storage', STORAGES)
-def test_twenty_thousand_points_exactly(tmp_path, storage):
+def test_reads_20000_points_exactly(tmp_path, storage):
     path = record(tmp_path / 'run', points_on('/probe/tip', 20_000), storage)
     for source in (path, storage_file(path)):
         points = read_bag(source)
@@ -69,7 +72,7 @@ def test_twenty_thousand_points_exactly(tmp_path, storage):
         steps = np.arange(20_000)
         wanted = np.column_stack([steps, np.full(20_000, 0.5), -steps / 7])
         np.testing.assert_array_equal(points.positions, wanted)
-        # of the header, not 3 ms later when they were received
+        # the stamps of the headers, not the times of reception 3 ms later
         np.testing.assert_allclose(points.stamps, 1.0 + steps * 0.0125, rtol=0, atol=1e-9)
         assert set(points.frame_ids) == {'tracker'} and points.source_names == ['/probe/tip']
         assert points.notes == () and points.strokes is None and points.quality is None
@@ -77,13 +80,13 @@ def test_twenty_thousand_points_exactly(tmp_path, storage):
 
 @pytest.mark.parametrize('mode',
                          [CompressionMode.MESSAGE, CompressionMode.FILE, CompressionMode.STORAGE])
-def test_compressed_bags(tmp_path, mode):
+def test_reads_compressed_bags(tmp_path, mode):
     path = record(tmp_path / 'run', points_on('/probe/tip', 50), compressed=mode)
     assert len(read_bag(path)) == 50
 
 
 @pytest.mark.parametrize('storage', STORAGES)
-def test_all_types_that_carry_a_position(tmp_path, storage):
+def test_reads_all_message_types_with_a_position(tmp_path, storage):
     pose = new('geometry_msgs/msg/Pose', new('geometry_msgs/msg/Point', 1.0, 2.0, 3.0),
                new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0))
     motion = new('geometry_msgs/msg/Transform', new('geometry_msgs/msg/Vector3', 4.0, 5.0, 6.0),
@@ -96,7 +99,7 @@ def test_all_types_that_carry_a_position(tmp_path, storage):
         ('/point', POINT, 3, point(10, 7.0, 8.0, 9.0, 'c')),
         ('/text', 'std_msgs/msg/String', 4, new('std_msgs/msg/String', 'hello'))], storage)
     points = read_bag(path, ['/pose', '/motion', '/point'])
-    # in the order they were received, whatever their headers say
+    # in the order received, independent of the stamps
     assert points.positions.tolist() == [[4, 5, 6], [1, 2, 3], [7, 8, 9]]
     assert points.frame_ids == ['b', 'a', 'c']
     assert [points.source_names[i] for i in points.sources] == ['/motion', '/pose', '/point']
@@ -120,7 +123,7 @@ def transforms(nanoseconds, *children):
 
 
 @pytest.mark.parametrize('storage', STORAGES)
-def test_poses_and_frames_lie_between_the_points_as_received(tmp_path, storage):
+def test_transforms_keep_their_place_between_the_points(tmp_path, storage):
     pose, tf = 'geometry_msgs/msg/PoseStamped', 'tf2_msgs/msg/TFMessage'
     path = record(tmp_path / 'run', [
         ('/tf_static', tf, 1, transforms(0, 'a', 'b')),
@@ -132,19 +135,19 @@ def test_poses_and_frames_lie_between_the_points_as_received(tmp_path, storage):
     points = read_bag(path, reference='/array', frames=True)
     assert len(points) == 2 and points.source_names == ['/tip']
     assert [(each.after, each.stamp, each.parent, each.child, each.fixed)
-            for each in points.motions] == [
+            for each in points.transforms] == [
         (0, 0.0, 'world', 'a', True), (0, 0.0, 'world', 'b', True), (0, 1.0, 'tracker', '', False),
         (1, 3.0, 'tracker', '', False), (1, 4.0, 'world', 'c', False)]
-    assert points.motions[1].T_parent_child[:3, 3].tolist() == [1, 2, 3]
-    assert points.motions[2].T_parent_child[:3, 3].tolist() == [1, 0, 0]
-    assert np.isnan(points.motions[3].T_parent_child).all()     # no orientation: left to be counted
-    assert [each.child for each in read_bag(path, reference='/array').motions] == ['', '']
-    assert not read_bag(path).motions
+    assert points.transforms[1].T_parent_child[:3, 3].tolist() == [1, 2, 3]
+    assert points.transforms[2].T_parent_child[:3, 3].tolist() == [1, 0, 0]
+    assert np.isnan(points.transforms[3].T_parent_child).all()     # the orientation is not valid
+    assert [each.child for each in read_bag(path, reference='/array').transforms] == ['', '']
+    assert not read_bag(path).transforms
     assert '/array' in refusal(path, None, '/elsewhere') and 'reference.topic' in refusal(
         path, None, '/tip')
 
 
-def test_which_topic_is_the_tip(tmp_path):
+def test_selects_the_topic_of_the_tip(tmp_path):
     tip, other, marks = (points_on(name, 2)
                          for name in ('/probe/tip', '/other', '/probe/landmarks'))
     assert read_bag(record(tmp_path / 'a', tip + other + marks)).source_names == ['/probe/tip']
@@ -158,18 +161,18 @@ def test_which_topic_is_the_tip(tmp_path):
     assert refusal(tmp_path / 'a', [])
 
 
-def test_points_that_are_not_finite_are_left_to_the_gates(tmp_path):
+def test_keeps_points_that_are_not_finite(tmp_path):
     path = record(tmp_path / 'run',
                   [('/probe/tip', POINT, 1, point(1, float('nan'), 0.0, float('inf')))])
     assert not np.isfinite(read_bag(path).positions).all()
 
 
-def test_what_is_no_bag_is_one_sentence(tmp_path):
+def test_rejects_a_path_that_is_not_a_bag(tmp_path):
     assert 'does not exist' in refusal(tmp_path / 'none')
     (tmp_path / 'empty').mkdir()
-    assert 'is no bag' in refusal(tmp_path / 'empty')
+    assert 'is not a bag' in refusal(tmp_path / 'empty')
     (tmp_path / 'points.csv').write_text('x,y,z\n')
-    assert 'is no bag' in refusal(tmp_path / 'points.csv')
+    assert 'is not a bag' in refusal(tmp_path / 'points.csv')
     for suffix in ('mcap', 'db3'):
         (tmp_path / f'zero.{suffix}').write_bytes(b'')
         (tmp_path / f'junk.{suffix}').write_bytes(b'no bag at all\n' * 20)
@@ -182,20 +185,20 @@ def test_what_is_no_bag_is_one_sentence(tmp_path):
 
 @pytest.mark.parametrize('storage', STORAGES)
 @pytest.mark.parametrize('share', [0.01, 0.3, 0.9, 0.999])
-def test_a_bag_cut_short_by_copying_is_refused(tmp_path, storage, share):
+def test_rejects_a_truncated_bag(tmp_path, storage, share):
     path = record(tmp_path / 'run', points_on('/probe/tip', 2000), storage)
     file = storage_file(path)
     content = file.read_bytes()
     file.write_bytes(content[:int(share * len(content))])
-    assert 'cut short' in refusal(path)
+    assert 'truncated' in refusal(path)
 
 
 @pytest.mark.parametrize('storage', STORAGES)
-def test_damaged_metadata_is_refused(tmp_path, storage):
+def test_rejects_damaged_metadata(tmp_path, storage):
     path = record(tmp_path / 'run', points_on('/probe/tip', 20), storage)
     good = (path / 'metadata.yaml').read_text()
-    for bad in ('', 'rosbag2_bagfile_information: 5\n', good[:100], good.replace('run',
-                                                                                 'gone'), '\t{'):
+    for bad in ('', 'rosbag2_bagfile_information: 5\n', good[:100], good.replace('run', 'gone'),
+                '\t{'):
         (path / 'metadata.yaml').write_text(bad)
         assert 'damaged' in refusal(path)
     (path / 'metadata.yaml').unlink()
@@ -203,23 +206,23 @@ def test_damaged_metadata_is_refused(tmp_path, storage):
     assert len(points) == 20 and 'no metadata.yaml' in points.notes[0]
 
 
-def test_a_recorder_that_was_killed_costs_only_what_was_not_written(tmp_path):
+def test_reads_the_messages_written_before_the_recorder_was_killed(tmp_path):
     path = record(tmp_path / 'run', points_on('/probe/tip', 30_000))
     whole = read_bag(path)
     file = storage_file(path)
     content = file.read_bytes()
     (path / 'metadata.yaml').unlink()
-    file.write_bytes(content[:int(0.7 * len(content))])     # the last chunk, index and end are gone
+    file.write_bytes(content[:int(0.7 * len(content))])     # without the last chunk and the index
     for source in (path, file):
         points = read_bag(source)
         assert 10_000 < len(points) < 30_000
         np.testing.assert_array_equal(points.positions, whole.positions[:len(points)])
         assert any('recorder was killed' in note for note in points.notes)
-    file.write_bytes(content[:5000])        # within the first chunk
-    assert 'nothing readable' in refusal(path)
+    file.write_bytes(content[:5000])        # in the first chunk
+    assert 'no readable messages' in refusal(path)
 
 
-def test_the_parts_of_a_split_bag_without_metadata_are_read_in_order(tmp_path):
+def test_reads_the_parts_of_a_split_bag_without_metadata_in_order(tmp_path):
     (tmp_path / 'run').mkdir()
     for part in range(11):
         piece = record(tmp_path / f'piece{part}', points_on('/probe/tip', 3, start=part * 10**9))
@@ -229,7 +232,7 @@ def test_the_parts_of_a_split_bag_without_metadata_are_read_in_order(tmp_path):
 
 
 @pytest.mark.parametrize('storage', STORAGES)
-def test_flipped_bytes_never_end_in_a_traceback(tmp_path, storage):
+def test_damaged_bytes_raise_only_input_errors(tmp_path, storage):
     path = record(tmp_path / 'run', points_on('/probe/tip', 100), storage)
     file = storage_file(path)
     content = file.read_bytes()
@@ -249,7 +252,7 @@ def test_flipped_bytes_never_end_in_a_traceback(tmp_path, storage):
     assert refused
 
 
-def test_what_is_written_is_read_again(tmp_path):
+def test_reads_what_was_written(tmp_path):
     rng = np.random.default_rng(1)
     positions, stamps = rng.normal(size=(500, 3)), 1.75e9 + np.cumsum(rng.uniform(0.005, 0.02, 500))
     with BagWriter(tmp_path / 'run') as bag:
@@ -257,7 +260,7 @@ def test_what_is_written_is_read_again(tmp_path):
             bag.write_point('/probe/tip', stamp, position, 'tracker')
         bag.write_point('/probe/landmarks', stamps[0], [1, 2, 3], 'tracker')
         bag.write_pose('/array', 1.5, exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0]), 'tracker')
-    pose, = read_bag(tmp_path / 'run', reference='/array').motions
+    pose, = read_bag(tmp_path / 'run', reference='/array').transforms
     assert (pose.stamp, pose.parent, pose.child) == (1.5, 'tracker', '')
     np.testing.assert_allclose(pose.T_parent_child, exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0]), atol=1e-12)
     points = read_bag(tmp_path / 'run')
@@ -266,14 +269,14 @@ def test_what_is_written_is_read_again(tmp_path):
     assert read_bag(tmp_path / 'run', ['/probe/landmarks']).positions.tolist() == [[1, 2, 3]]
 
 
-def test_the_order_of_reception_may_differ_from_that_of_the_stamps(tmp_path):
+def test_order_of_reception_is_independent_of_the_stamps(tmp_path):
     with BagWriter(tmp_path / 'run') as bag:
         for received, stamp in enumerate([3.0, 1.0, 2.0]):
             bag.write_point('/probe/tip', stamp, [0, 0, 0], 'tracker', received=float(received))
     assert read_bag(tmp_path / 'run').stamps.tolist() == [3, 1, 2]
 
 
-def test_the_same_points_give_the_same_bytes(tmp_path):
+def test_equal_points_write_equal_bytes(tmp_path):
     contents = []
     for _ in range(2):
         with BagWriter(tmp_path / 'run') as bag:
@@ -284,7 +287,7 @@ def test_the_same_points_give_the_same_bytes(tmp_path):
     assert contents[0] == contents[1] and set(contents[0]) == {'run.mcap', 'metadata.yaml'}
 
 
-def test_a_writer_that_fails_leaves_nothing_and_overwrites_nothing(tmp_path):
+def test_writer_removes_the_bag_on_failure_and_overwrites_nothing(tmp_path):
     with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / 'run') as bag:
         bag.write_point('/probe/tip', 1.0, [0, 0, 0], 'tracker')
         raise ZeroDivisionError

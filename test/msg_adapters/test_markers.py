@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ~/markers shows, as it arrives through the wire format of ROS."""
+"""Test the markers of ~/markers after deserialization by rclpy."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NOTHING = np.zeros((0, 3))
 
 
 def sent(shown: list[markers.Marker], frame_id: str = 'bone') -> dict[tuple[str, int], Marker]:
-    """Return the markers as they arrive, by namespace and id."""
+    """Return the deserialized markers by namespace and id."""
     array = deserialize_message(to_bytes(shown, frame_id), MarkerArray)
     found = {(marker.ns, marker.id): marker for marker in array.markers}
     assert len(found) == len(array.markers)
@@ -39,8 +39,8 @@ def numbers(items: list[Point] | list[ColorRGBA], names: str) -> np.ndarray:
 
 @pytest.mark.parametrize('frame_id', ['', 'b', 'bo', 'bon', 'bone', 'femur_ct_lps'])
 @pytest.mark.parametrize('labels', [[], ['1'], ['1: 0.8 mm', '2 \u2192 \u00fc']])
-def test_the_bytes_are_read_as_they_were_meant(frame_id: str, labels: list[str]) -> None:
-    """Whatever the lengths of the words, on which the alignment of all that follows depends."""
+def test_serialization_agrees_with_rclpy(frame_id: str, labels: list[str]) -> None:
+    """Test strings of different lengths, which determine the alignment of all other fields."""
     rng = np.random.default_rng(0)
     places = rng.normal(size=(len(labels), 3))
     shown = [*markers.points(rng.normal(size=(5, 3)), rng.uniform(size=(5, 3))),
@@ -56,10 +56,10 @@ def test_the_bytes_are_read_as_they_were_meant(frame_id: str, labels: list[str])
         plain = Marker(header=read.header, ns=read.ns, id=read.id, type=read.type, text=read.text,
                        action=read.action, pose=read.pose, scale=read.scale, color=read.color,
                        points=read.points, colors=read.colors, frame_locked=True)
-        assert read == plain        # all else is empty
+        assert read == plain        # all other fields have their defaults
 
 
-def test_shapes_are_those_of_ros() -> None:
+def test_shapes_have_the_values_of_ros() -> None:
     known = {Shape.ARROW: Marker.ARROW, Shape.CYLINDER: Marker.CYLINDER,
              Shape.SPHERE_LIST: Marker.SPHERE_LIST, Shape.TEXT: Marker.TEXT_VIEW_FACING,
              Shape.TRIANGLE_LIST: Marker.TRIANGLE_LIST}
@@ -67,7 +67,7 @@ def test_shapes_are_those_of_ros() -> None:
     assert all(shape == number for shape, number in known.items())
 
 
-def test_a_bone_of_300_000_faces_stays_below_2_mb_with_all_that_is_on_it() -> None:
+def test_message_of_a_large_bone_is_smaller_than_2_mb() -> None:
     ball = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
     vertices, faces = decimate(ball.vertices, ball.faces.astype(np.int32), MAX_FACES)
     most = np.ones((10_000, 3))
@@ -76,59 +76,59 @@ def test_a_bone_of_300_000_faces_stays_below_2_mb_with_all_that_is_on_it() -> No
                          *markers.patches(most, most, 0.008, ['1: 0.8 mm'] * len(most), GREEN)],
                         'bone'))
     assert 1_000_000 < size < 2_000_000
-    assert 120 * MAX_FACES + 40 * markers.MOST_POINTS + 10_000 < 2_000_000     # the worst of all
+    assert 120 * MAX_FACES + 40 * markers.MAX_POINTS + 10_000 < 2_000_000     # upper bound
 
 
-def test_the_bone_is_triangles_in_metres_in_its_colours() -> None:
+def test_bone_is_a_triangle_list_with_colours() -> None:
     marker = sent(markers.bone(TRIANGLE, FACE[:, ::-1], np.eye(3)))['bone', 0]
     assert (marker.type, marker.action) == (Marker.TRIANGLE_LIST, Marker.ADD)
     assert numbers(marker.points, 'xyz') == pytest.approx(TRIANGLE[::-1])
     assert numbers(marker.colors, 'rgba') == pytest.approx(
         np.column_stack([np.eye(3)[::-1], np.ones(3)]))
-    assert numbers([marker.scale], 'xyz') == pytest.approx(np.ones((1, 3)))     # else RViz hides it
+    assert numbers([marker.scale], 'xyz') == pytest.approx(np.ones((1, 3)))   # 0 hides it
     assert (marker.header.frame_id, marker.header.stamp.sec, marker.frame_locked) == (
         'bone', 0, True)
     assert marker.pose.orientation.w == 1.0 and marker.color.a == 1.0
 
 
-def test_a_bone_without_faces_is_dots() -> None:
+def test_bone_without_faces_is_a_list_of_spheres() -> None:
     marker = sent(markers.bone(TRIANGLE, np.zeros((0, 3), np.int32), np.eye(3)))['bone', 0]
     assert marker.type == Marker.SPHERE_LIST and 0.001 < marker.scale.x < 0.004
     assert numbers(marker.points, 'xyz') == pytest.approx(TRIANGLE)
 
 
-def test_points_are_balls_of_their_colours_thinned_out_if_too_many() -> None:
+def test_points_are_downsampled_spheres_with_colours() -> None:
     marker = sent(markers.points(TRIANGLE, np.eye(3)))['points', 0]
     assert marker.type == Marker.SPHERE_LIST and 0.001 < marker.scale.x < 0.004
     assert numbers(marker.points, 'xyz') == pytest.approx(TRIANGLE)
     assert numbers(marker.colors, 'rgb') == pytest.approx(np.eye(3))
     many = np.random.default_rng(0).normal(size=(9001, 3))
     drawn = numbers(sent(markers.points(many, many))['points', 0].points, 'xyz')
-    assert 2000 < len(drawn) <= markers.MOST_POINTS
+    assert 2000 < len(drawn) <= markers.MAX_POINTS
     assert drawn[:2] == pytest.approx(many[[0, 3]])
 
 
-def test_a_patch_is_a_disc_with_an_arrow_along_its_normal_and_a_label() -> None:
+def test_patch_is_a_disc_with_an_arrow_along_the_normal_and_a_label() -> None:
     normal = np.array([0.6, 0.0, 0.8])
     shown = sent(markers.patches(TRIANGLE[1:2], normal[None], 0.008, ['1: 0.8 mm'], GREEN))
     disc, arrow, label = (shown[name, 0] for name in ('patch', 'patch_arrow', 'patch_label'))
     assert (disc.type, arrow.type, label.type) == (Marker.CYLINDER, Marker.ARROW,
                                                    Marker.TEXT_VIEW_FACING)
-    assert (disc.scale.x, disc.scale.y) == pytest.approx((0.016, 0.016))    # its diameter
+    assert (disc.scale.x, disc.scale.y) == pytest.approx((0.016, 0.016))    # the diameter
     for marker in (disc, arrow):
         assert numbers([marker.pose.position], 'xyz')[0] == pytest.approx(TRIANGLE[1])
         x, y, z, w = numbers([marker.pose.orientation], 'xyzw')[0]
         along = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
         assert along == pytest.approx(normal)
     tail, head = numbers(arrow.points, 'xyz')
-    assert tail[2] > 0.01 and head == pytest.approx([0.0, 0.0, 0.0])    # it points at the bone
+    assert tail[2] > 0.01 and head == pytest.approx([0.0, 0.0, 0.0])    # toward the bone
     assert label.text == '1: 0.8 mm' and 0.004 < label.scale.z < 0.02
     assert numbers([label.pose.position], 'xyz')[0] @ normal > TRIANGLE[1] @ normal + 0.03
     assert 0.0 < disc.color.a < 1.0 and arrow.color.a == label.color.a == 1.0
     assert numbers([arrow.color], 'rgb')[0] == pytest.approx(GREEN)
 
 
-def test_what_is_gone_is_deleted_whatever_was_seen_before() -> None:
+def test_deletes_all_markers_that_are_not_shown() -> None:
     full = [*markers.points(TRIANGLE, np.eye(3)),
             *markers.patches(np.zeros((9, 3)), np.tile(np.eye(3)[2], (9, 1)), 0.008, ['n'] * 9,
                              GREEN)]

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Test reading of NDI tracker recordings."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
@@ -17,7 +20,7 @@ EM = """Tools,LABEL,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers
 1,LABEL,132,12.100,1,,0,0,0,0,0,0,0,0
 1,LABEL,140
 """.replace('LABEL', LABEL)
-# an optical tracker: two tools, each with its markers; line 2 has lost a marker of the first tool
+# an optical tracker with two tools and their markers; line 2 lacks a marker of the first tool
 BLOCK = ('Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,'
          'State,Tx,Ty,Tz,State,Tx,Ty,Tz')
 OPTICAL = f"""Tools,Port 0x01: Probe,{BLOCK},Port 0x02: Array,{BLOCK}
@@ -44,7 +47,7 @@ def refusal(*args, **options):
     return caught.value.message
 
 
-def test_good_samples_in_metres_and_lost_ones_counted(tmp_path):
+def test_reads_valid_samples_and_counts_lost_ones(tmp_path):
     for text in (EM, EM.replace('\n', '\r\n'), '\ufeff' + EM, EM.replace('OK', 'ok')):
         path = write(tmp_path / 'em.csv', text)
         assert is_ndi(path)
@@ -57,7 +60,7 @@ def test_good_samples_in_metres_and_lost_ones_counted(tmp_path):
         assert points.source_names == [LABEL]
 
 
-def test_each_tool_is_found_whatever_stands_before_it(tmp_path):
+def test_reads_each_tool_by_its_label(tmp_path):
     path = write(tmp_path / 'optical.csv', OPTICAL)
     probe, array = read_ndi(path, 'probe'), read_ndi(path, '0x02')
     np.testing.assert_allclose(probe.positions * 1000, [[1, 2, 3], [1, 2, 4]])
@@ -66,14 +69,14 @@ def test_each_tool_is_found_whatever_stands_before_it(tmp_path):
     assert array.stamps.tolist() == [1.5, 1.6, 1.7, 1.8]
 
 
-def test_the_tool_must_be_clear(tmp_path):
+def test_rejects_an_ambiguous_tool(tmp_path):
     path = write(tmp_path / 'optical.csv', OPTICAL)
     for message in (refusal(path), refusal(path, 'port'), refusal(path, 'saw')):
         assert 'Probe' in message and 'Array' in message
-    assert "no tools like 'saw'" in refusal(path, 'saw')
+    assert "no tools that match 'saw'" in refusal(path, 'saw')
 
 
-def test_a_file_without_times_has_no_stamps(tmp_path):
+def test_file_without_times_has_no_stamps(tmp_path):
     old = ('Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n'
            '1,Port 1,1,1,OK,1,0,0,0,1,2,3,0.1\n')
     assert read_ndi(write(tmp_path / 'old.csv', old)).stamps is None
@@ -81,20 +84,20 @@ def test_a_file_without_times_has_no_stamps(tmp_path):
     assert read_ndi(write(tmp_path / 'blank.csv', blank)).stamps is None
 
 
-def test_lines_and_headers_without_labels(tmp_path):
+def test_reads_files_without_labels(tmp_path):
     bare = ('Tools,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers\n'
             '1,9,0.5,1,OK,0,0,0,1,2,3,0.1,0\n')
     points = read_ndi(write(tmp_path / 'bare.csv', bare))
     np.testing.assert_allclose(points.positions, [[0.001, 0.002, 0.003]])
     assert points.stamps.tolist() == [0.5]
-    other = EM.replace(f'\n1,{LABEL}', '\n1,10')     # the port's number only
+    other = EM.replace(f'\n1,{LABEL}', '\n1,10')     # only the number of the port
     assert len(read_ndi(write(tmp_path / 'other.csv', other))) == 2
 
 
 @pytest.mark.parametrize('text, words', [
-    ('x,y,z\n1,2,3\n', 'no NDI tracker CSV'),
+    ('x,y,z\n1,2,3\n', 'not an NDI tracker CSV'),
     ('', 'is empty'),
-    ('\n\n', 'no NDI tracker CSV'),
+    ('\n\n', 'not an NDI tracker CSV'),
     (EM.splitlines()[0], 'never tracked'),
     (EM.replace('OK', 'Missing'), 'none with State OK'),
     (EM.replace('10.5,', 'ten,'), 'line 2'),
@@ -104,9 +107,9 @@ def test_lines_and_headers_without_labels(tmp_path):
     (EM.replace('12.050', '12,050').replace('12.000', '12,000'), 'never tracked'),
     (EM.replace('10.5,', ','), 'line 2'),
     (EM.replace('12.050', ''), 'line 4'),
-    (EM.replace('Tx,Ty,Tz', 'A,B,C'), 'no NDI tracker CSV'),
+    (EM.replace('Tx,Ty,Tz', 'A,B,C'), 'not an NDI tracker CSV'),
 ])
-def test_what_is_wrong_is_said(tmp_path, text, words):
+def test_message_names_the_defect(tmp_path, text, words):
     path = write(tmp_path / 'bad.csv', text)
     assert words in refusal(path) and 'bad.csv' in refusal(path)
 
@@ -116,7 +119,7 @@ def gsdf(*arguments):
     return args.run(args)
 
 
-def test_import_ndi_writes_what_was_tracked(tmp_path, capsys):
+def test_import_ndi_writes_the_tracked_samples(tmp_path, capsys):
     later = EM.replace(',12.', ',13.')
     files = [write(tmp_path / 'b.csv', later), write(tmp_path / 'a.csv', EM)]
     assert gsdf('import-ndi', *files, '-o', tmp_path / 'run', '--frame-id', 'field_generator') == 0
@@ -127,7 +130,7 @@ def test_import_ndi_writes_what_was_tracked(tmp_path, capsys):
     assert set(points.frame_ids) == {'field_generator'} and points.source_names == ['/probe/tip']
 
 
-def test_import_ndi_needs_times_and_a_free_place(tmp_path):
+def test_import_ndi_requires_times_and_a_new_path(tmp_path):
     old = ('Tools,Port 1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error\n'
            '1,Port 1,1,1,OK,1,0,0,0,1,2,3,0.1\n')
     with pytest.raises(InputError, match='no Time column'):

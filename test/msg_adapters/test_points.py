@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Test reading of models, points and landmarks."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
@@ -45,7 +48,7 @@ def corners(vertices, faces):
     ('box.PLY', {'file_type': 'ply', 'encoding': 'ascii'}), ('box.obj', {}), ('box.off', {}),
 ])
 @pytest.mark.parametrize('unit, scale', [('mm', 0.001), ('m', 1.0)])
-def test_meshes_are_read_in_metres(tmp_path, name, options, unit, scale):
+def test_reads_meshes_in_metres(tmp_path, name, options, unit, scale):
     vertices, faces, normals = read_model(export(tmp_path / name, **options), unit)
     assert vertices.dtype == np.float64 and faces.dtype == np.int32 and normals is None
     assert faces.shape == (12, 3)
@@ -55,7 +58,7 @@ def test_meshes_are_read_in_metres(tmp_path, name, options, unit, scale):
                                rtol=1e-6)
 
 
-def test_several_bodies_become_one_surface(tmp_path):
+def test_merges_several_bodies(tmp_path):
     text = ('o a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n'
             'o b\nv 0 0 5\nv 1 0 5\nv 0 1 5\nf 4 5 6\n')
     vertices, faces, _ = read_model(write(tmp_path / 'two.obj', text), 'm')
@@ -66,13 +69,13 @@ def test_several_bodies_become_one_surface(tmp_path):
     assert len(faces) == 24
 
 
-def test_polygons_are_triangulated(tmp_path):
+def test_triangulates_polygons(tmp_path):
     quad = write(tmp_path / 'quad.off',
                  'OFF\n5 2 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 0 1\n4 0 1 2 3\n3 0 1 4\n')
     assert read_model(quad, 'm')[1].shape == (3, 3)
 
 
-def test_a_surface_is_not_repaired_here(tmp_path):
+def test_does_not_repair_a_surface(tmp_path):
     text = 'OFF\n4 2 0\n0 0 0\n1 0 0\n0 1 0\n0 0 0\n3 0 1 2\n3 3 3 3\n'
     vertices, faces, _ = read_model(write(tmp_path / 'poor.off', text), 'm')
     assert len(vertices) == 4 and len(faces) == 2
@@ -83,14 +86,14 @@ def test_a_surface_is_not_repaired_here(tmp_path):
     ('cloud.csv', 'NX, ny,nz,x,Y,z\n1,0,0,1,2,3\n0,1,0,4,5,6\n'),
     ('cloud.xyz', '1 2 3 1 0 0\n4 5 6 0 1 0\n'),
 ])
-def test_clouds_with_normals(tmp_path, name, text):
+def test_reads_clouds_with_normals(tmp_path, name, text):
     vertices, faces, normals = read_model(write(tmp_path / name, text), 'mm')
     assert faces is None
     np.testing.assert_allclose(vertices, [[0.001, 0.002, 0.003], [0.004, 0.005, 0.006]])
     np.testing.assert_array_equal(normals, [[1, 0, 0], [0, 1, 0]])      # directions have no unit
 
 
-def test_binary_ply_cloud_keeps_its_normals(tmp_path):
+def test_reads_the_normals_of_a_binary_ply_cloud(tmp_path):
     rows = np.array([(1, 2, 3, 1, 0, 0), (4, 5, 6, 0, 1, 0)], '<f4')
     head = CLOUD_PLY.partition('end_header\n')[0].replace('ascii',
                                                           'binary_little_endian') + 'end_header\n'
@@ -107,7 +110,7 @@ def refusal(read, *args):
     return message
 
 
-def test_what_is_no_readable_model_is_one_sentence(tmp_path):
+def test_rejects_files_that_are_not_models(tmp_path):
     assert 'does not exist' in refusal(read_model, tmp_path / 'none.stl', 'mm')
     assert 'directory' in refusal(read_model, tmp_path, 'mm')
     for suffix in ('stl', 'ply', 'obj', 'off', 'csv'):
@@ -120,7 +123,7 @@ def test_what_is_no_readable_model_is_one_sentence(tmp_path):
 
 
 @pytest.mark.parametrize('suffix', ['stl', 'ply', 'obj', 'off'])
-def test_garbage_and_nan_are_refused(tmp_path, suffix):
+def test_rejects_damaged_files_and_nan(tmp_path, suffix):
     garbage = write(tmp_path / f'g.{suffix}', b'\x00\xff no model at all\n' * 9)
     assert str(garbage) in refusal(read_model, garbage, 'mm')
     nan = trimesh.Trimesh(BOX.vertices.copy(), BOX.faces, process=False)
@@ -128,7 +131,7 @@ def test_garbage_and_nan_are_refused(tmp_path, suffix):
     assert refusal(read_model, export(tmp_path / f'n.{suffix}', nan), 'mm')
 
 
-def test_faces_that_name_no_vertex_are_refused(tmp_path):
+def test_rejects_faces_with_unknown_vertices(tmp_path):
     off = 'OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 {}\n'
     for bad in (3, -1):
         assert refusal(read_model, write(tmp_path / 'a.off', off.format(bad)), 'mm')
@@ -141,23 +144,23 @@ def test_faces_that_name_no_vertex_are_refused(tmp_path):
     ('off', {}),
 ])
 @pytest.mark.parametrize('share', [0.2, 0.5, 0.8, 0.97, 0.993])
-def test_no_file_that_was_cut_short_passes_for_a_whole_one(tmp_path, suffix, options, share):
+def test_rejects_truncated_files(tmp_path, suffix, options, share):
     path = export(tmp_path / f'whole.{suffix}', trimesh.creation.icosphere(2, 30.0), **options)
     content = path.read_bytes()
     path.write_bytes(content[:int(share * len(content))])
     message = refusal(read_model, path, 'mm')
-    assert 'cut short' in message or 'damaged' in message
+    assert 'truncated' in message or 'damaged' in message
 
 
-def test_the_last_body_that_was_cut_off_is_missed(tmp_path):
+def test_rejects_an_stl_file_of_the_wrong_length(tmp_path):
     solid = export(tmp_path / 'a.stl', file_type='stl_ascii').read_text()
     two = solid + '\n' + solid
-    assert 'cut short' in refusal(read_model, write(tmp_path / 'b.stl', two[:-100]), 'mm')
+    assert 'truncated' in refusal(read_model, write(tmp_path / 'b.stl', two[:-100]), 'mm')
     binary = export(tmp_path / 'c.stl').read_bytes()
     assert 'triangles' in refusal(read_model, write(tmp_path / 'd.stl', binary + b'more'), 'mm')
 
 
-def test_an_obj_that_ends_within_a_line_is_refused(tmp_path):
+def test_rejects_an_obj_file_with_an_incomplete_line(tmp_path):
     text = export(tmp_path / 'a.obj').read_text().rstrip()
     assert 'incomplete' in refusal(read_model, write(tmp_path / 'b.obj', text[:text.rindex(' ')]),
                                    'mm')
@@ -176,14 +179,14 @@ def test_an_obj_that_ends_within_a_line_is_refused(tmp_path):
     'name,x,y,z\nfirst,1,2,3\nsecond one,4,5,6\n',
     '1,2,3,0,0,1\n4,5,6,0,0,1\n',
 ])
-def test_points_as_people_write_them(tmp_path, text):
+def test_reads_points_in_common_formats(tmp_path, text):
     points = read_points(write(tmp_path / 'p.csv', text), 'mm')
     np.testing.assert_allclose(points.positions, [[0.001, 0.002, 0.003], [0.004, 0.005, 0.006]])
     assert points.stamps is None and points.strokes is None and points.quality is None
     assert points.source_names == ['p.csv']
 
 
-def test_points_with_all_that_may_be_known(tmp_path):
+def test_reads_all_optional_columns(tmp_path):
     text = 'frame_id,Time,x,y,z,stroke,Quality\ntracker,0.5,1,2,3,0,0.25\narray,1.5,4,5,6,1,\n'
     points = read_points(write(tmp_path / 'p.txt', text), 'mm')
     assert points.stamps.tolist() == [0.5, 1.5]
@@ -191,7 +194,7 @@ def test_points_with_all_that_may_be_known(tmp_path):
     np.testing.assert_allclose(points.quality, [0.00025, np.nan])
 
 
-def test_rows_without_coordinates_are_kept_for_the_gates(tmp_path):
+def test_keeps_rows_that_are_not_finite(tmp_path):
     points = read_points(write(tmp_path / 'p.csv', 'x,y,z\n1,2,3\nnan,2,3\n,,\n1,inf,0\n'), 'm')
     assert np.isfinite(points.positions).all(axis=1).tolist() == [True, False, False, False]
 
@@ -202,22 +205,22 @@ def test_rows_without_coordinates_are_kept_for_the_gates(tmp_path):
     ('x,y,z\n\n# skip\n1,2\n', ['line 4', '2 values where 3']),
     ('x,y,z\n1,2,3,4\n', ['line 2', '4 values where 3']),
     ('x,y\n1,2\n', ['x, y', 'do not include']),
-    ('x,y,z,X\n1,2,3,4\n', ['line 1', 'twice']),
+    ('x,y,z,X\n1,2,3,4\n', ['line 1', 'not unique']),
     ('x,y,z\n', ['no points']),
     ('# nothing\n', ['no points']),
     ('1,2,3,4\n', ['4 columns and no header']),
     ('t,x,y,z\n0,1,2,3\n,1,2,3\n', ['line 3', 't is empty']),
     ('stroke,x,y,z\n0.5,1,2,3\n', ['line 2', 'whole number']),
 ])
-def test_what_is_wrong_with_points_is_said_with_its_line(tmp_path, text, words):
+def test_message_names_the_defect_and_the_line(tmp_path, text, words):
     message = refusal(read_points, write(tmp_path / 'p.csv', text), 'mm')
     assert all(word in message for word in ['p.csv', *words]), message
 
 
-def test_other_files_of_points(tmp_path):
+def test_reads_or_rejects_other_files_of_points(tmp_path):
     cloud = read_points(write(tmp_path / 'c.ply', CLOUD_PLY), 'mm')
     np.testing.assert_allclose(cloud.positions, [[0.001, 0.002, 0.003], [0.004, 0.005, 0.006]])
-    assert 'surface' in refusal(read_points, export(tmp_path / 'a.ply'), 'mm')
+    assert 'without faces' in refusal(read_points, export(tmp_path / 'a.ply'), 'mm')
     assert 'CSV, TXT or XYZ' in refusal(read_points, export(tmp_path / 'a.stl'), 'mm')
     assert 'UTF-8' in refusal(read_points,
                               write(tmp_path / 'u.csv', 'x,y,z\n1,2,3\n'.encode('utf-16')), 'mm')
@@ -225,7 +228,7 @@ def test_other_files_of_points(tmp_path):
     assert 'inch' in refusal(read_points, write(tmp_path / 'p.csv', 'x,y,z\n1,2,3\n'), 'inch')
 
 
-def test_an_ndi_file_is_known_by_its_header(tmp_path):
+def test_detects_an_ndi_file_by_its_header(tmp_path):
     ndi = write(
         tmp_path / 'n.csv', 'Tools,Port 1,Frame,Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers\n'
         '1,Port 1,7,1,OK,0,0,0,1,2,3,0.1,0\n')
@@ -236,7 +239,7 @@ def test_an_ndi_file_is_known_by_its_header(tmp_path):
 HEAD = 'name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z\n'
 
 
-def test_landmarks_have_a_unit_each_side(tmp_path):
+def test_reads_landmarks_with_two_units(tmp_path):
     marks = read_landmarks(write(tmp_path / 'l.csv', HEAD + 'head,1,2,3,0.1,0.2,0.3\n'), 'mm', 'm')
     assert marks.names == ['head']
     np.testing.assert_allclose(marks.model, [[0.001, 0.002, 0.003]])
@@ -249,10 +252,10 @@ def test_landmarks_have_a_unit_each_side(tmp_path):
     (HEAD + 'a,1,2,3,4,5,6\nb,1,2,3,4,5,nan\n', 'line 3'),
     (HEAD + 'a,1,2,3,4,5,\n', 'line 2'),
     (HEAD + 'a,1,2,3,4,5,x\n', 'line 2'),
-    (HEAD + 'a,1,2,3,4,5,6\na,1,2,3,4,5,7\n', 'twice'),
+    (HEAD + 'a,1,2,3,4,5,6\na,1,2,3,4,5,7\n', 'not unique'),
     ('1,2,3,4,5,6,7\n', 'columns name'),
 ])
-def test_landmarks_that_cannot_be_used(tmp_path, text, words):
+def test_rejects_invalid_landmarks(tmp_path, text, words):
     assert words in refusal(read_landmarks, write(tmp_path / 'l.csv', text), 'mm', 'mm')
 
 
@@ -264,7 +267,7 @@ def test_landmarks_that_cannot_be_used(tmp_path, text, words):
        separator=st.sampled_from([',', ';', '\t', ' ']))
 def test_points_survive_writing_and_reading(tmp_path_factory, rows, order, separator):
     columns = ['xyz'.index(name) for name in order]
-    lines = [separator.join(order)
-             ] + [separator.join(repr(row[i]) for i in columns) for row in rows]
+    lines = [separator.join(order),
+             *(separator.join(repr(row[i]) for i in columns) for row in rows)]
     path = write(tmp_path_factory.mktemp('points') / 'p.csv', '\n'.join(lines))
     assert read_points(path, 'm').positions.tolist() == rows

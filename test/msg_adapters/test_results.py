@@ -66,7 +66,7 @@ def test_an_accepted_registration_keeps_all_its_numbers():
     assert (message.session_id, message.registration_id) == ('a1b2', 4)
     pose = message.pose.pose
     assert position_of(pose.position) == T[:3, 3].tolist()
-    assert np.allclose(ros.motion_from(pose.position, pose.orientation), T)
+    assert np.allclose(motion_from(pose.position, pose.orientation), T)
     assert np.array_equal(message.pose.covariance, COVARIANCE.ravel())
     assert message.target_names == ['neck', 'cup'] and list(message.target_tre) == [4e-4, 6e-4]
     assert (message.tre_rms, message.tre_max) == (5e-4, 9e-4)

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Test the conversion between ROS messages and arrays."""
+
+from __future__ import annotations
 
 import array
 
@@ -27,13 +30,13 @@ STAMP = ros.seconds_to_stamp(12.25)
 
 
 def sent(message):
-    """Return the message as it arrives: through the wire format of ROS."""
+    """Return the message after serialization and deserialization."""
     return deserialize_message(serialize_message(message), type(message))
 
 
 @settings(deadline=None, max_examples=50)
 @given(VECTORS, NAMES, st.integers(0, 2**22), st.integers(0, 999_999_999))
-def test_points_round_trip(position, frame_id, sec, nanosec):
+def test_points_survive_the_conversion(position, frame_id, sec, nanosec):
     stamp = ros.Time(sec=sec, nanosec=nanosec)
     message = sent(ros.point_msg(position, frame_id, stamp))
     sample = ros.sample_from(message, '/tip', 3.0)
@@ -43,7 +46,7 @@ def test_points_round_trip(position, frame_id, sec, nanosec):
 
 @settings(deadline=None, max_examples=50)
 @given(TWISTS)
-def test_poses_and_transforms_round_trip(twist):
+def test_poses_and_transforms_survive_the_conversion(twist):
     T = exp(twist)
     seconds, back, frame = ros.pose_from(sent(ros.pose_msg(T, 'tracker', STAMP)))
     assert (seconds, frame) == (12.25, 'tracker')
@@ -54,7 +57,7 @@ def test_poses_and_transforms_round_trip(twist):
     np.testing.assert_allclose(back, T, atol=1e-12)
 
 
-def test_covariance_is_row_by_row_in_the_order_of_rep_103():
+def test_covariance_is_row_major_in_the_order_of_rep_103():
     covariance = np.diag([1.0, 2, 3, 4, 5, 6])
     covariance[0, 5] = covariance[5, 0] = 0.5       # x with rz
     message = sent(ros.pose_with_covariance_msg(np.eye(4), covariance, 'tracker', STAMP))
@@ -63,7 +66,7 @@ def test_covariance_is_row_by_row_in_the_order_of_rep_103():
     assert message.header.frame_id == 'tracker' and message.pose.pose.orientation.w == 1.0
 
 
-def test_poses_that_are_no_motion_are_refused():
+def test_rejects_invalid_poses():
     message = PoseStamped()
     message.pose.orientation.w = 0.0
     with pytest.raises(InputError, match='orientation'):
@@ -71,7 +74,7 @@ def test_poses_that_are_no_motion_are_refused():
     message.pose.orientation.w = float('nan')
     with pytest.raises(InputError, match='orientation'):
         ros.pose_from(message)
-    message.pose.orientation.w = 0.9        # a tracker's garbage, not a rounding
+    message.pose.orientation.w = 0.9        # more than a rounding error
     with pytest.raises(InputError, match='unit length'):
         ros.pose_from(message)
     message.pose.orientation.w = 1.0
@@ -84,24 +87,24 @@ def test_poses_that_are_no_motion_are_refused():
 @given(
     st.lists(st.tuples(*[st.floats(-10, 10, width=32)] * 5, st.integers(-2**31, 2**31 - 1)),
              max_size=20))
-def test_clouds_round_trip(rows):
+def test_clouds_survive_the_conversion(rows):
     columns = [np.array(column) for column in zip(*rows)] if rows else [np.zeros(0)] * 6
     message = sent(ros.cloud_msg(np.column_stack(columns[:3]), *columns[3:], 'bone', STAMP))
     assert (message.width, message.height, message.point_step) == (len(rows), 1, 24)
-    assert [field.name
-            for field in message.fields] == ['x', 'y', 'z', 'residual', 'weight', 'stroke']
+    assert [field.name for field in message.fields] == ['x', 'y', 'z', 'residual', 'weight',
+                                                        'stroke']
     back = ros.cloud_to_arrays(message)
     for name, column in zip(('x', 'y', 'z', 'residual', 'weight', 'stroke'), columns):
         np.testing.assert_array_equal(back[name], column)
     assert back['x'].dtype == np.float32 and back['stroke'].dtype == np.int32
 
 
-def test_a_cloud_takes_scalars_and_what_is_unknown():
+def test_cloud_accepts_scalars_and_nan():
     back = ros.cloud_to_arrays(ros.cloud_msg([[1, 2, 3], [4, 5, 6]], np.nan, 1.0, 0, 'bone', STAMP))
     assert np.isnan(back['residual']).all() and back['weight'].tolist() == [1, 1]
 
 
-def test_clouds_of_others_with_gaps_rows_and_the_other_byte_order():
+def test_reads_clouds_with_padding_rows_and_big_endian_data():
     points = np.array([[(1.5, 7), (2.5, 8)], [(3.5, 9), (4.5, 10)]],
                       np.dtype({'names': ['x', 'i'], 'formats': ['>f8', '>u2'], 'offsets': [4, 14],
                                 'itemsize': 20}))
@@ -118,7 +121,7 @@ def test_clouds_of_others_with_gaps_rows_and_the_other_byte_order():
         ros.cloud_to_arrays(message)
 
 
-def test_diagnostics_are_text():
+def test_diagnostic_values_are_text():
     message = sent(ros.diagnostic_status('registration', DiagnosticStatus.WARN, 'collecting',
                                          {'received': 12, 'state': 'collecting'}))
     assert (message.name, message.level, message.message) == ('registration', b'\x01', 'collecting')

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Test reading and writing of the ground truth."""
+
+from __future__ import annotations
 
 from pathlib import Path
 
@@ -14,19 +17,19 @@ TRUTH = Truth('hip.stl', 'mm', 'tracker', exp([0.1, 0.2, 0.3, 1.0, -2.0, 3.0]), 
               {'seed': 7, 'noise': {'sigma_m': 1e-4}, 'command': 'gsdf simulate'})
 
 
-def test_a_truth_comes_back_bit_for_bit(tmp_path):
+def test_reads_what_was_written_bit_for_bit(tmp_path):
     write_truth(tmp_path / 'run.yaml', TRUTH)
     back = read_truth(tmp_path / 'run.yaml')
     for name in vars(TRUTH):
         np.testing.assert_array_equal(getattr(back, name), getattr(TRUTH, name))
 
 
-def test_a_truth_without_landmarks(tmp_path):
+def test_reads_a_truth_without_landmarks(tmp_path):
     write_truth(tmp_path / 'run.yaml', Truth('m.ply', 'm', 'tracker', np.eye(4)))
     assert read_truth(tmp_path / 'run.yaml').landmarks_model.shape == (0, 3)
 
 
-def test_it_lies_beside_its_bag():
+def test_truth_path_is_beside_the_bag():
     assert truth_path('bags/run.1') == Path('bags/run.1.yaml')
     assert truth_path('bags/run.mcap') == Path('bags/run.yaml')
     assert truth_path('bags/run/') == Path('bags/run.yaml')
@@ -41,7 +44,7 @@ def test_it_lies_beside_its_bag():
     ('[0.0, 0.0, 0.0, 1.0]', '[0.0, 0.0, 0.0, 2.0]', 'rigid'),
     ('landmarks:', 'landmarks: [', 'YAML'),
 ])
-def test_what_is_no_truth_is_said(tmp_path, old, new, words):
+def test_rejects_invalid_files(tmp_path, old, new, words):
     path = tmp_path / 'run.yaml'
     write_truth(path, TRUTH)
     text = path.read_text()
@@ -51,7 +54,7 @@ def test_what_is_no_truth_is_said(tmp_path, old, new, words):
         read_truth(path)
 
 
-def test_values_that_do_not_fit_are_refused():
+def test_rejects_inconsistent_values():
     with pytest.raises(ValueError, match='number'):
         Truth('m', 'mm', 'f', np.eye(4), ('a',))
     with pytest.raises(ValueError, match='rigid'):
