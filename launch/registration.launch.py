@@ -21,19 +21,19 @@ SHARE = FindPackageShare('gsdf_registration')
 
 
 def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """Return the node and, when a bag is given, its player."""
+    """Return the node and, if a bag is given, its player."""
     model, config, bag, log_level = (
         LaunchConfiguration(name).perform(context)
         for name in ('model', 'config', 'bag', 'log_level'))
 
-    # model:= wins over model.path in the settings file only when it is given; and, as the namespace
-    # is named below, also over a section of that file which is for this node alone
+    # model:= overrides model.path of the parameter file only if it is given. It also overrides a
+    # section for this node alone, because the namespace of the node is set explicitly below.
     given = [{'model.path': ParameterValue(model, value_type=str)}] if model else []
-    # the node brings itself to active (parameter autostart)
+    # the node activates itself (parameter autostart)
     node = Node(package='gsdf_registration', executable='registration_node', name='registration',
                 namespace='', parameters=[config, *given],
                 ros_arguments=['--log-level', f'registration:={log_level}'], output='screen')
-    # the node keeps no points before it is active, and its first start ever compiles for a while
+    # the node ignores points until it is active; on the first start it compiles its kernels before
     wait = 'until ros2 lifecycle get /registration 2>&1 | grep --quiet ^active; do sleep 1; done'
     player = ExecuteProcess(cmd=[f'{wait}; exec ros2 bag play {quote(bag)}'], shell=True,
                             name='player', output='screen')
@@ -41,22 +41,22 @@ def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments and what they start."""
+    """Return the arguments and the actions of the launch file."""
     return LaunchDescription([
         DeclareLaunchArgument(
             'model',
             default_value='',
-            description='bone model: path or package:// URI; empty: as in the settings'),
+            description='bone model, a path or package:// URI; empty: model.path of the parameter file'),
         DeclareLaunchArgument(
             'config',
             default_value=PathJoinSubstitution([SHARE, 'config', 'registration.yaml']),
-            description='settings, a ROS parameter file'),
+            description='ROS parameter file with the settings'),
         DeclareLaunchArgument('bag', default_value='',
-                              description='recording to play; empty: none'),
+                              description='rosbag2 recording to play; empty: none'),
         DeclareLaunchArgument('rviz', default_value='false',
-                              description='true: show bone, points and where to touch in RViz'),
+                              description='true: start RViz with the bone, the points and where to touch next'),
         DeclareLaunchArgument('log_level', default_value='info',
-                              description='of the node: debug, info, warn, error or fatal'),
+                              description='log level of the node: debug, info, warn, error or fatal'),
         OpaqueFunction(function=start),
         Node(package='rviz2', executable='rviz2', name='rviz',
              arguments=['-d', PathJoinSubstitution([SHARE, 'config', 'registration.rviz'])],

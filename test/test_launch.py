@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What the launch file starts.
+The actions of the launch file.
 
-Neither launch nor launch_ros exists as a wheel, so stand-ins take their place: they have the
-signatures of Jazzy, keep what they are given, and refuse what the real ones do not know.
+There are no wheels of launch and launch_ros. The fakes below have the signatures of Jazzy, keep
+their arguments, and reject arguments that the real classes do not have.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class Value:
     value_type: type = field(kw_only=True)
 
 
-STAND_INS: dict[str, dict[str, Any]] = {
+FAKES: dict[str, dict[str, Any]] = {
     'launch': {'LaunchContext': Context, 'LaunchDescription': Description,
                'LaunchDescriptionEntity': object},
     'launch.actions': {'DeclareLaunchArgument': Argument, 'ExecuteProcess': Process,
@@ -124,8 +124,8 @@ def performed(value: Any, context: Context) -> str:
 
 @pytest.fixture
 def description(monkeypatch: pytest.MonkeyPatch) -> Description:
-    """Return what the launch file describes."""
-    for name, members in STAND_INS.items():
+    """Return the launch description of the file."""
+    for name, members in FAKES.items():
         module = ModuleType(name)
         vars(module).update(members)
         monkeypatch.setitem(sys.modules, name, module)
@@ -134,8 +134,8 @@ def description(monkeypatch: pytest.MonkeyPatch) -> Description:
     return described
 
 
-def started(description: Description, **given: str) -> tuple[Context, list[Any]]:
-    """Return what is started with these arguments given on the command line."""
+def actions_of(description: Description, **given: str) -> tuple[Context, list[Any]]:
+    """Return the actions started with these command line arguments."""
     arguments = {each.name: each for each in description.entities if isinstance(each, Argument)}
     assert set(given) <= set(arguments)
     context = Context(given)
@@ -151,8 +151,8 @@ def started(description: Description, **given: str) -> tuple[Context, list[Any]]
     return context, actions
 
 
-def test_alone_the_node_starts_on_the_shipped_settings(description: Description) -> None:
-    _, (node,) = started(description)
+def test_starts_the_node_with_the_default_parameter_file(description: Description) -> None:
+    _, (node,) = actions_of(description)
     assert (node.package, node.executable, node.name) == ('gsdf_registration', 'registration_node',
                                                           'registration')
     assert node.parameters == [SETTINGS]
@@ -160,27 +160,27 @@ def test_alone_the_node_starts_on_the_shipped_settings(description: Description)
     assert node.output == 'screen'
 
 
-def test_a_model_wins_over_the_one_in_the_settings(description: Description) -> None:
-    _, (node,) = started(description, model='12', config='my.yaml', log_level='debug')
+def test_model_argument_overrides_the_parameter_file(description: Description) -> None:
+    _, (node,) = actions_of(description, model='12', config='my.yaml', log_level='debug')
     settings, last = node.parameters
     assert settings == 'my.yaml'
-    assert node.namespace is not None   # or it would only win over what is meant for all nodes
-    # a name that looks like a number stays a name
+    assert node.namespace is not None   # else it would not override a section for this node
+    # a name that looks like a number stays a string
     assert last == {'model.path': Value('12', value_type=str)}
     assert node.ros_arguments[-1] == 'registration:=debug'
 
 
-def test_a_bag_is_played_once_the_node_is_active(description: Description) -> None:
-    _, (_, player) = started(description, bag="a 'quoted' bag")
+def test_plays_a_bag_once_the_node_is_active(description: Description) -> None:
+    _, (_, player) = actions_of(description, bag="a 'quoted' bag")
     command, = player.cmd
     assert player.shell
-    assert player.name == 'player'      # or the whole command would stand before each of its lines
+    assert player.name == 'player'      # else the whole command would prefix each line of its output
     assert command.startswith('until ros2 lifecycle get /registration')
     assert command.endswith("""exec ros2 bag play 'a '"'"'quoted'"'"' bag'""")
 
 
-def test_rviz_shows_the_shipped_scene(description: Description) -> None:
-    context, (_, viewer) = started(description, rviz='true')
+def test_rviz_uses_the_shipped_configuration(description: Description) -> None:
+    context, (_, viewer) = actions_of(description, rviz='true')
     assert (viewer.package, viewer.executable) == ('rviz2', 'rviz2')
     option, scene = viewer.arguments
     assert option == '-d'
@@ -189,7 +189,7 @@ def test_rviz_shows_the_shipped_scene(description: Description) -> None:
     assert (ROOT / file).is_file()
 
 
-def test_every_argument_is_described_and_in_the_readme(description: Description) -> None:
+def test_every_argument_has_a_description_and_is_in_the_readme(description: Description) -> None:
     arguments = [each for each in description.entities if isinstance(each, Argument)]
     assert {each.name for each in arguments} == {'model', 'config', 'bag', 'rviz', 'log_level'}
     for argument in arguments:

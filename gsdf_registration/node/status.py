@@ -34,8 +34,9 @@ def combined_status(status: Status, live: LiveStatus) -> Status:
         return status
     # A good registration need not be repeated, and landmarks come before strokes
     skip_live = live.ready or (status.remaining_landmarks and live.reason in NOT_STARTED)
-    return replace(status, message=sentence(status.message, interference_message(live.stroke_reports),
-                                            '' if skip_live else live.message))
+    return replace(status, message=sentence(
+        status.message, interference_message(live.stroke_reports),
+        '' if skip_live else live.message))
 
 
 def sentence(*parts: str) -> str:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Real processes over real DDS.
+Fixtures for tests with real processes over real DDS.
 
-A domain of our own, a node that tests share, and nodes of a test's own.
+They use a separate domain, one node that tests share, and nodes of single tests.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 from ros_support import BAG, TOPICS, Client, NodeProcess, Tracker
 
-from gsdf_registration.clients.domain import own_domain
+from gsdf_registration.clients.domain import private_domain
 from msg_adapters.truth import read_truth
 
 
 @pytest.fixture(scope='session', autouse=True)
 def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Give every process of these tests a domain, and a cache of fields, of its own."""
-    with own_domain() as environment, pytest.MonkeyPatch.context() as patch:
+    """Run all processes of these tests in a separate domain, with a separate cache of fields."""
+    with private_domain() as environment, pytest.MonkeyPatch.context() as patch:
         for name, value in environment.items():
             patch.setenv(name, value)
         patch.setenv('GSDF_CACHE_DIR', str(tmp_path_factory.mktemp('cache')))
@@ -32,7 +32,7 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope='session')
 def parameters() -> dict[str, Any]:
-    """Return the parameters of a node for the recording."""
+    """Return the node parameters for the recording."""
     truth = read_truth(BAG.with_suffix('.yaml'))
     numbers = ', '.join(repr(float(number)) for number in truth.landmarks_model.ravel())
     return {'model.path': BAG.parent / truth.model, 'model.unit': truth.model_unit,
@@ -43,7 +43,7 @@ def parameters() -> dict[str, Any]:
 
 @pytest.fixture(scope='session')
 def shared_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the session file of the node that tests share."""
+    """Return the session file of the shared node."""
     return tmp_path_factory.mktemp('node') / 'session.json'
 
 
@@ -66,9 +66,7 @@ def shared_tracker(shared_node: NodeProcess) -> Iterator[Tracker]:
 
 @pytest.fixture
 def tracker(shared_tracker: Tracker) -> Tracker:
-    """
-    Return the tracker of the node that all tests share, which has been told to forget what was.
-    """
+    """Return the tracker of the shared node, whose session is cleared."""
     assert shared_tracker.client.ask('clear').success
     return shared_tracker
 
@@ -80,7 +78,7 @@ def client(tracker: Tracker) -> Client:
 
 @pytest.fixture
 def many_points(tracker: Tracker, shared_session: Path) -> Path:
-    """Return a session file with so many points that to register them takes a while."""
+    """Return a session file with so many points that a registration takes some seconds."""
     tracker.touch_landmarks(np.eye(4))
     tracker.drag(np.eye(4))
     assert tracker.client.ask('save').success
@@ -96,7 +94,7 @@ def many_points(tracker: Tracker, shared_session: Path) -> Path:
 
 @pytest.fixture
 def start_node(tmp_path: Path) -> Iterator[Any]:
-    """Return a function that starts a node of its own name."""
+    """Return a function that starts a node with the given name."""
     nodes: list[NodeProcess] = []
 
     def start(name: str, **given: Any) -> NodeProcess:

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-What the tests over DDS share: nodes as processes, an operator, and a tracker that knows the truth.
-"""
+"""Helpers of the tests over DDS: node processes, a client, and a tracker with ground truth."""
 
 from __future__ import annotations
 
@@ -35,11 +33,11 @@ TOPICS = ['/probe/tip', '/probe/landmarks', '/probe/second']
 
 
 class NodeProcess:
-    """A registration node as its own process; its log is kept."""
+    """A registration node in a process, with its log in a file."""
 
     def __init__(self, log: Path, name: str = 'registration', options: Sequence[str] = (),
                  **parameters: Any) -> None:
-        # or it would keep its journal in the repository
+        # else its journal would be written to the repository
         parameters = {'session.path': log.with_suffix('.json'), **parameters}
         words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
         self.name = f'/{name}'
@@ -63,9 +61,9 @@ class NodeProcess:
 
 
 class Client(Operator):
-    """An operator who also changes the lifecycle and reads the status."""
+    """An operator who also triggers lifecycle transitions and reads the status."""
 
-    # the first start ever compiles
+    # on the first start the node compiles its kernels
     def __init__(self, node: NodeProcess, patience: float = 60.0) -> None:
         super().__init__(node.name, patience, alive=lambda: node.process.poll() is None)
         self._log = node.log_file
@@ -74,7 +72,7 @@ class Client(Operator):
         try:
             super().spin_until(condition, complaint)
         except InputError as error:
-            pytest.fail(f'{error.message}; the node says:\n{self._log.read_text()}')
+            pytest.fail(f'{error.message}; log of the node:\n{self._log.read_text()}')
 
     def change(self, transition: int) -> bool:
         return bool(self.result(self.begin(transition)).success)
@@ -85,7 +83,7 @@ class Client(Operator):
         return self.start(ChangeState, 'change_state', request)
 
     def set_parameters(self, *parameters: Parameter) -> str:
-        """Set all or none; return why not, empty if they are set."""
+        """Set all parameters or none; return the reason of a rejection, else an empty string."""
         request = SetParametersAtomically.Request(
             parameters=[each.to_parameter_msg() for each in parameters])
         result = self.result(
@@ -93,15 +91,15 @@ class Client(Operator):
         return '' if result.successful else str(result.reason)
 
     def await_state(self, state: str) -> None:
-        self.spin_until(lambda: self.state() == state, f'the node did not become {state}')
+        self.spin_until(lambda: self.state() == state, f'the node is not {state}')
 
     def status(self, **wanted: str) -> dict[str, str]:
-        """Wait for a status with these values (``__`` for a dot), and return all its values."""
+        """Wait for a status with these values (``__`` is a dot), and return all its values."""
         want = {key.replace('__', '.'): value for key, value in wanted.items()}
 
         def fits(message: DiagnosticStatus) -> bool:
             return want.items() <= values(message).items()
-        message = self.hear(DiagnosticStatus, '~/status', accept=fits)
+        message = self.receive(DiagnosticStatus, '~/status', accept=fits)
         return {**values(message), 'message': message.message}
 
 
@@ -110,7 +108,7 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
 
 
 class Tracker:
-    """Publishes tip positions of a recording, of which it knows the truth."""
+    """Publishes tip positions of a recording with ground truth."""
 
     def __init__(self, client: Client, topics: list[str] = TOPICS) -> None:
         recording = read_bag(BAG)
@@ -126,18 +124,16 @@ class Tracker:
         }
 
     def await_listener(self) -> None:
-        """
-        Send until points come through on every topic: those before both sides know of it are lost.
-        """
+        """Send points until each topic is connected; points sent before discovery are lost."""
         for topic, publisher in self._publishers.items():
-            self.client.spin_until(publisher.get_subscription_count, f'nobody listens to {topic}')
+            self.client.spin_until(publisher.get_subscription_count, f'{topic} has no subscription')
             self.client.ask('clear')
 
-            def heard(topic: str = topic) -> bool:
+            def received(topic: str = topic) -> bool:
                 self.send(np.zeros((1, 3)), topic=topic, frame_id='tracker')
                 return self.client.status()['received'] != '0'
-            self.client.spin_until(heard, f'no point comes through on {topic}')
-        self.await_taken(10)
+            self.client.spin_until(received, f'no point is received on {topic}')
+        self.await_processed(10)
         self.client.ask('clear')
 
     def send(self,
@@ -149,22 +145,22 @@ class Tracker:
             self._stamp += float(step)
             stamp = ros.seconds_to_stamp(self._stamp)
             self._publishers[topic].publish(ros.point_msg(position, frame_id, stamp))
-            time.sleep(0.0005)      # a tracker is not faster
+            time.sleep(0.0005)      # no faster than a real tracker
 
-    def await_taken(self, points: int) -> None:
-        """Wait until the node has taken that many points, even if it does not count them."""
+    def await_processed(self, points: int) -> None:
+        """Wait until the node has processed this number of points, even if it ignores them."""
         for publisher in self._publishers.values():
             assert publisher.wait_for_all_acked(Duration(seconds=10.0))
-        # its executor takes a waiting point of each topic before it answers a service
+        # its executor takes a waiting point of each topic before it serves a request
         for _ in range(points + 1):
             self.client.ask('undo')
 
     def touch_landmarks(self, T_moved: np.ndarray) -> None:
-        """Rest at each landmark, and have it captured."""
+        """Hold the tip at each landmark, and capture it."""
         for place in transform(T_moved, self.truth.landmarks_tracker):
             self.send(np.tile(place, (50, 1)))
             self.client.spin_until(lambda: self.client.ask('capture_landmark').success,
-                                   'none was captured')
+                                   'no landmark is captured')
 
     def drag(self, T_moved: np.ndarray, topic: str = '/probe/tip') -> None:
         """Collect the recorded points."""
@@ -174,7 +170,7 @@ class Tracker:
         self.client.collect(False)
 
     def assert_near_truth(self, T: np.ndarray, T_moved: np.ndarray) -> None:
-        """Compare a pose with the truth: 1 degree, and 1 mm at the landmarks."""
+        """Check a pose against ground truth: 1 degree, and 1 mm at the landmarks."""
         T_true = T_moved @ self.truth.T_tracker_bone
         places = self.truth.landmarks_model
         assert np.degrees(angle_between(T[:3, :3], T_true[:3, :3])) < 1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The operator's client that the README shows, with a real node."""
+"""The example client of the README with a real node."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ros_support import ROOT, Tracker
 pytestmark = pytest.mark.ros
 
 
-def test_the_client_waits_until_all_is_ready_and_prints_the_pose(tracker: Tracker) -> None:
+def test_waits_until_ready_and_prints_the_pose(tracker: Tracker) -> None:
     client = tracker.client
     operator = subprocess.Popen([sys.executable, ROOT / 'examples/operator_client.py'],
                                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         tracker.drag(np.eye(4))
-        client.spin_until(lambda: operator.poll() is not None, 'it waits for ever')
+        client.spin_until(lambda: operator.poll() is not None, 'the example does not end')
         assert operator.stdout is not None
-        told = operator.stdout.read()
+        output = operator.stdout.read()
     finally:
         operator.kill()
         operator.wait()
-    assert operator.returncode == 0, told
-    assert 'enough: register now' in told
-    x, y, z = (float(value) for value in re.findall(r'[xyz]=([-\d.e]+)', told)[:3])
+    assert operator.returncode == 0, output
+    assert 'enough points: register now' in output
+    x, y, z = (float(value) for value in re.findall(r'[xyz]=([-\d.e]+)', output)[:3])
     place = tracker.truth.T_tracker_bone[:3, 3]
-    assert np.linalg.norm([x, y, z] - place) < 2e-3, told
+    assert np.linalg.norm([x, y, z] - place) < 2e-3, output

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of the node's interface, and the table in the README, say what the node has."""
+"""The interface page and the table in the README describe the actual node."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ros
 StartNode = Callable[..., NodeProcess]
 
 
-def test_the_documents_are_as_written_from_a_running_node(start_node: StartNode) -> None:
+def test_documents_are_up_to_date(start_node: StartNode) -> None:
     pytest.importorskip('tf2_msgs', reason='without it there is no /tf')
     node = start_node('described', **interface.PARAMETERS)
     with Client(node) as client:
@@ -28,26 +28,26 @@ def test_the_documents_are_as_written_from_a_running_node(start_node: StartNode)
         subscribed, published = interface.subscribed_and_published(client, node.name)
     assert subscribed == interface.SUBSCRIBED.keys()
     assert published == interface.PUBLISHED.keys()
-    advice = 'run python docs/interface.py to write it anew'
+    advice = 'run python docs/interface.py to update it'
     assert interface.PAGE.read_text() == interface.page(table), advice
     readme = interface.README.read_text()
     assert interface.BEGIN in readme
     assert readme == interface.with_table(readme, table), advice
 
 
-def test_every_value_of_the_status_is_described(tracker: Tracker) -> None:
+def test_describes_every_value_of_the_status(tracker: Tracker) -> None:
     tracker.touch_landmarks(np.eye(4))
     tracker.drag(np.eye(4))
     seen = set(tracker.client.status(state='ready'))
     assert tracker.client.ask('register').success
     tracker.send(np.tile(tracker.positions[100] + 0.02, (60, 1)))
     tracker.client.spin_until(lambda: 'tip is' in tracker.client.ask('verify').message,
-                              'it cannot be verified')
+                              'no verification is possible')
     seen |= set(tracker.client.status())
-    seen.remove('message')      # not one of its values
+    seen.remove('message')      # not a key of the values
     assert [value for value in seen if not interface.described(value)] == []
     assert set(map(interface.described, seen)) == interface.STATUS.keys()
 
 
-def test_every_reason_is_described() -> None:
+def test_describes_every_reason() -> None:
     assert interface.REASONS.keys() == set(Reason)

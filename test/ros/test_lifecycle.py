@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states of the node, and what it does in each."""
+"""Lifecycle states of the node and its behaviour in each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ StartNode = Callable[..., NodeProcess]
 UNCONFIGURED = 'the node is unconfigured; configure and activate it first'
 
 
-def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
+def test_goes_through_all_states_for_a_lifecycle_manager(start_node: StartNode,
                                                   parameters: dict[str, Any]) -> None:
     node = start_node('managed', **parameters | {'autostart': 'false', 'collect.automatic': 'true'})
     with Client(node) as client:
@@ -38,8 +38,8 @@ def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
         tracker.send(tracker.positions[:10])
         kept = client.status(state='collecting', kept='10')['received']
         assert client.change(Transition.TRANSITION_DEACTIVATE)
-        tracker.send(tracker.positions[10:30])      # an inactive node hears them all the same
-        tracker.await_taken(20)
+        tracker.send(tracker.positions[10:30])      # an inactive node receives and ignores them
+        tracker.await_processed(20)
         assert client.change(Transition.TRANSITION_ACTIVATE)
         tracker.send(tracker.positions[30:31])
         assert client.status(kept='11')['received'] == str(int(kept) + 1)
@@ -58,9 +58,9 @@ def test_a_lifecycle_manager_takes_the_node_round(start_node: StartNode,
     ('no/such/bone.stl', 'no/such/bone.stl'),
     ('package://no_such_package/bone.stl', 'no_such_package'),
 ])
-def test_a_model_that_cannot_be_loaded_is_told_and_can_be_mended(
+def test_reports_a_model_that_cannot_be_loaded_and_accepts_another(
         start_node: StartNode, parameters: dict[str, Any], path: str, message: str) -> None:
-    node = start_node('mended', **parameters | {'model.path': path})
+    node = start_node('corrected', **parameters | {'model.path': path})
     with Client(node) as client:
         status = client.status(state='no_model', reason='no_model')
         assert message in status['message']
@@ -76,7 +76,7 @@ def test_a_model_that_cannot_be_loaded_is_told_and_can_be_mended(
         client.status(state='idle')
 
 
-def test_without_a_model_points_are_collected_but_not_registered(start_node: StartNode) -> None:
+def test_collects_points_but_does_not_register_without_a_model(start_node: StartNode) -> None:
     node = start_node('bare')
     with Client(node) as client:
         client.await_state('active')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever comes in at whatever rate, the log stays readable."""
+"""The log stays short at any rate of invalid messages."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def test_no_stream_of_messages_floods_the_log(start_node: StartNode,
         tracker = Tracker(client, ['/probe/tip'])
         reliable = QoSProfile(depth=MANY, reliability=ReliabilityPolicy.RELIABLE)
         array = client.node.create_publisher(PoseStamped, '/array', reliable)
-        tracker.client.spin_until(array.get_subscription_count, 'nobody listens to /array')
+        tracker.client.spin_until(array.get_subscription_count, '/array has no subscription')
         before = len(node.log.splitlines())
         for _ in range(MANY):
-            array.publish(PoseStamped())        # a quaternion of nothing but zeros
+            array.publish(PoseStamped())        # a quaternion of zeros
         tracker.send(np.full((MANY, 3), np.nan))
         tracker.send(np.zeros((MANY, 3)), frame_id='elsewhere')
         tracker.send(np.random.default_rng(0).normal(0.0, 10.0, (MANY, 3)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The services and topics of an active node, as an operator and his screens see them."""
+"""Services and topics of an active node, as seen by an operator and by displays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from gsdf_registration.common.rigid import exp
+from gsdf_registration.common.rigid import exp, transform
 from msg_adapters import ros
 
 pytestmark = pytest.mark.ros
@@ -34,41 +34,41 @@ def register_at(tracker: Tracker, T_moved: np.ndarray) -> None:
 
 
 def latched_pose(node: NodeProcess) -> np.ndarray:
-    """Return the pose as one who joins only now receives it."""
+    """Return the pose that a late joiner receives."""
     with Client(node) as late_joiner:
         return ros.pose_from(late_joiner.receive(PoseStamped, '~/bone_pose'))[1]
 
 
-def test_a_new_registration_replaces_the_pose_for_everyone(
+def test_new_registration_replaces_the_pose_for_all_subscribers(
         tracker: Tracker, shared_node: NodeProcess) -> None:
-    heard: list[PoseStamped] = []
+    received: list[PoseStamped] = []
     client = tracker.client
     register_at(tracker, STILL)
     subscription = client.node.create_subscription(PoseStamped, '/registration/bone_pose',
-                                                   heard.append, 10)
+                                                   received.append, 10)
     tracker.assert_near_truth(latched_pose(shared_node), STILL)
     register_at(tracker, MOVED)
-    client.spin_until(lambda: bool(heard), 'the one who listened before did not hear the new pose')
+    client.spin_until(lambda: bool(received), 'the subscriber does not receive the new pose')
     client.node.destroy_subscription(subscription)
-    tracker.assert_near_truth(ros.pose_from(heard[-1])[1], MOVED)
+    tracker.assert_near_truth(ros.pose_from(received[-1])[1], MOVED)
     tracker.assert_near_truth(latched_pose(shared_node), MOVED)
 
 
-def test_a_refused_registration_leaves_the_last_good_pose_and_says_so(
+def test_refused_registration_keeps_the_accepted_one(
         tracker: Tracker, shared_node: NodeProcess) -> None:
     register_at(tracker, STILL)
     tracker.client.ask('clear')
     answer = tracker.client.ask('register')
     assert not answer.success
     assert answer.message.startswith('too_few_points: ')
-    assert 'last good pose' in answer.message
+    assert 'accepted registration is kept' in answer.message
     status = tracker.client.status(state='refused', reason='too_few_points')
     assert status['pose'] == 'in tracker'
-    assert 'last good pose' in status['message']
+    assert 'accepted registration is kept' in status['message']
     tracker.assert_near_truth(latched_pose(shared_node), STILL)
 
 
-def test_points_of_another_frame_are_refused_and_counted(tracker: Tracker) -> None:
+def test_rejects_and_counts_points_in_another_frame(tracker: Tracker) -> None:
     tracker.client.collect(True)
     tracker.send(tracker.positions[:5])
     tracker.send(tracker.positions[:7], topic='/probe/second', frame_id='elsewhere')
@@ -77,12 +77,13 @@ def test_points_of_another_frame_are_refused_and_counted(tracker: Tracker) -> No
     assert status['frame_id'] == 'tracker'
 
 
-def test_strokes_are_collected_and_undone(tracker: Tracker) -> None:
+def test_collects_strokes_and_undoes_them(tracker: Tracker) -> None:
     client = tracker.client
     for first, last, stroke in ((0, 10, '1'), (10, 30, '2')):
         assert client.collect(True).success
         tracker.send(tracker.positions[first:last])
-        client.status(kept=str(last), strokes=stroke)   # or the last ones may fall in the next
+        # else the last points may belong to the next stroke
+        client.status(kept=str(last), strokes=stroke)
     client.collect(False)
     tracker.send(tracker.positions[30:35])
     client.status(rejected__not_collecting='5')
@@ -94,7 +95,7 @@ def test_strokes_are_collected_and_undone(tracker: Tracker) -> None:
     assert 'no stroke' in answer.message
 
 
-def test_a_landmark_is_not_captured_from_a_moving_tip(tracker: Tracker) -> None:
+def test_does_not_capture_a_landmark_with_a_moving_tip(tracker: Tracker) -> None:
     path = iter(np.outer(np.linspace(0.0, 10.0, 6000), [1.0, 0.0, 0.0]).reshape(-1, 60, 3))
 
     def moves() -> bool:
@@ -102,26 +103,25 @@ def test_a_landmark_is_not_captured_from_a_moving_tip(tracker: Tracker) -> None:
         answer = tracker.client.ask('capture_landmark')
         assert not answer.success
         return 'moves' in answer.message
-    tracker.client.spin_until(moves, 'it was not told that the tip moves')
+    tracker.client.spin_until(moves, 'the motion of the tip is not reported')
 
 
-def test_a_touched_point_is_verified(tracker: Tracker) -> None:
+def test_verifies_a_touched_point(tracker: Tracker) -> None:
     register_at(tracker, STILL)
-    off = tracker.truth.T_tracker_bone[:3, :3] @ [0.0, 0.0, 0.5] + tracker.truth.T_tracker_bone[:3,
-                                                                                                3]
-    tracker.send(np.tile(off, (60, 1)))
-    # until its last moments have come in
+    outside = transform(tracker.truth.T_tracker_bone, np.array([0.0, 0.0, 0.5]))
+    tracker.send(np.tile(outside, (60, 1)))
+    # until the last samples are received
     tracker.client.spin_until(lambda: 'moves' not in tracker.client.ask('verify').message,
-                              'the tip does not rest')
+                              'the tip is not stationary')
     answer = tracker.client.ask('verify')
     assert not answer.success
     assert 'outside' in answer.message
 
 
-def test_a_checkpoint_touched_again_tells_that_the_array_was_bumped(tracker: Tracker) -> None:
+def test_reports_a_displaced_array_at_a_checkpoint(tracker: Tracker) -> None:
     register_at(tracker, STILL)
     client = tracker.client
-    client.collect(True)        # a verification is kept out of what is being collected
+    client.collect(True)        # points of a verification are not collected
     before = client.status()
     rng = np.random.default_rng(0)
     side = 0.001 * tracker.truth.T_tracker_bone[:3, 0]
@@ -131,7 +131,7 @@ def test_a_checkpoint_touched_again_tells_that_the_array_was_bumped(tracker: Tra
         tracker.send(tracker.positions[50] + 0.002 * np.arange(10, 20)[:, None], 0.1)    # lifted
         lifted += 10
         answer = client.ask('verify')
-        while expected not in answer.message:       # until the samples have come through
+        while expected not in answer.message:       # until the samples are received
             noise = rng.normal(0.0, 5e-5, (60, 3))
             tracker.send(tracker.positions[50] + shift * side + noise,
                          np.r_[0.1, np.full(59, 0.0125)])
@@ -139,12 +139,12 @@ def test_a_checkpoint_touched_again_tells_that_the_array_was_bumped(tracker: Tra
             answer = client.ask('verify')
         verdicts.append(answer.success)
     assert verdicts == [True, True, False]
-    assert answer.message.endswith('was the array bumped?')
+    assert answer.message.endswith('was the array displaced?')
     client.status(kept=str(int(before['kept']) + lifted),
                   rejected__touched=str(int(before['rejected.touched']) + sent))
 
 
-def test_a_session_is_saved_and_loaded_by_another_node(tracker: Tracker, shared_node: NodeProcess,
+def test_loads_a_session_that_another_node_saved(tracker: Tracker, shared_node: NodeProcess,
                                                        parameters: dict[str,
                                                                         Any], shared_session: Path,
                                                        start_node: StartNode) -> None:
@@ -158,12 +158,12 @@ def test_a_session_is_saved_and_loaded_by_another_node(tracker: Tracker, shared_
         assert answer.success, answer.message
         after = client.status(state='registered')
         tracker.assert_near_truth(latched_pose(second), STILL)
-        assert client.ask('register').success       # on the points loaded
+        assert client.ask('register').success       # with the loaded points
     for key in ('kept', 'strokes', 'landmarks', 'frame_id', 'predicted_tre_m.rms'):
         assert after[key] == before[key]
 
 
-def test_a_damaged_session_is_refused(tracker: Tracker, shared_session: Path) -> None:
+def test_rejects_a_damaged_session(tracker: Tracker, shared_session: Path) -> None:
     shared_session.write_text('{"schema": ')
     answer = tracker.client.ask('load')
     assert not answer.success
@@ -171,7 +171,7 @@ def test_a_damaged_session_is_refused(tracker: Tracker, shared_session: Path) ->
 
 
 @pytest.mark.usefixtures('many_points')
-def test_a_second_registration_is_answered_at_once_while_one_runs(tracker: Tracker) -> None:
+def test_answers_a_second_registration_at_once_while_one_runs(tracker: Tracker) -> None:
     client = tracker.client
     assert client.ask('load').success
     received = int(client.status()['received'])
@@ -182,20 +182,20 @@ def test_a_second_registration_is_answered_at_once_while_one_runs(tracker: Track
         requests[-1].add_done_callback(lambda _, name=name: order.append(name))
     tracker.send(tracker.positions[:20])
     first, second = (client.result(request) for request in requests)
-    client.spin_until(lambda: len(order) == 2, 'not both were heard of')
+    client.spin_until(lambda: len(order) == 2, 'a request is not answered')
     assert order == ['second', 'first']
     assert not second.success
     assert 'wait' in second.message
     assert first.success, first.message
-    client.status(received=str(received + 20))      # points came in meanwhile
+    client.status(received=str(received + 20))      # points were received meanwhile
 
 
-def test_the_points_are_shown_in_the_bone_frame(tracker: Tracker, shared_node: NodeProcess) -> None:
+def test_publishes_the_points_in_the_bone_frame(tracker: Tracker, shared_node: NodeProcess) -> None:
     register_at(tracker, STILL)
-    with Client(shared_node) as screen:
-        cloud = screen.receive(PointCloud2, '~/points')
-        bone = screen.receive(MarkerArray, '~/markers')
-        status = screen.status(state='registered')
+    with Client(shared_node) as display:
+        cloud = display.receive(PointCloud2, '~/points')
+        bone = display.receive(MarkerArray, '~/markers')
+        status = display.status(state='registered')
     assert cloud.header.frame_id == 'bone'
     columns = ros.cloud_to_arrays(cloud)
     assert list(columns) == ['x', 'y', 'z', 'residual', 'weight', 'stroke']
@@ -208,13 +208,13 @@ def test_the_points_are_shown_in_the_bone_frame(tracker: Tracker, shared_node: N
     assert 0.1 < np.ptp(surface, axis=0).max() < 0.3     # metres
 
 
-def test_diagnostics_come_every_second(client: Client) -> None:
+def test_publishes_diagnostics_every_second(client: Client) -> None:
     array = client.receive(DiagnosticArray, '/diagnostics', 10)
     assert array.status[0].name.startswith('/registration')
     assert array.header.stamp.sec > 0
 
 
-def test_the_transform_is_resent(tracker: Tracker) -> None:
+def test_repeats_the_transform(tracker: Tracker) -> None:
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:

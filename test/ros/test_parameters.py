@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The settings as ROS parameters."""
+"""Settings as ROS parameters."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def value_of(client: Client, name: str) -> Any:
 
 
 def set_one_by_one(client: Client, parameters: list[Parameter]) -> list[str]:
-    """Set them as ``ros2 param load`` does; return why not, empty where one is set."""
+    """Set them like ``ros2 param load``; return the reason of each rejection, empty if set."""
     request = SetParameters.Request(parameters=[each.to_parameter_msg() for each in parameters])
     results = client.result(client.start(SetParameters, 'set_parameters', request)).results
     return ['' if result.successful else result.reason for result in results]
 
 
-def test_every_setting_is_declared_and_described(client: Client) -> None:
+def test_declares_and_describes_every_setting(client: Client) -> None:
     names = [name for name, _ in settings()]
     listed = client.result(client.start(ListParameters, 'list_parameters',
                                         ListParameters.Request()))
@@ -67,27 +67,27 @@ def test_every_setting_is_declared_and_described(client: Client) -> None:
     (NAMES, 'in one request'),
     (POSITIONS, 'in one request'),
     (Parameter('session.path', STRING, ''), 'session.path is empty'),
-    (Parameter('probe.topics', STRINGS, ['no topic!']), '"no topic!" is no name of a topic'),
-    (Parameter('probe.topics', STRINGS, ['/a', '/a']), '/a is named twice'),
+    (Parameter('probe.topics', STRINGS, ['no topic!']), '"no topic!" is not a valid topic name'),
+    (Parameter('probe.topics', STRINGS, ['/a', '/a']), '/a occurs twice'),
     (Parameter('model.frame_id', STRING, 'other'), 'deactivate and cleanup'),
     (Parameter('reference.topic', STRING, '/array'), 'deactivate and cleanup'),
     (Parameter('model.path', STRING, 'no/such.stl'), 'there is no such file'),
     (Parameter('model.path', STRING, ''), 'deactivate and cleanup'),
 ], ids=lambda value: f'{value.name}={value.value}' if isinstance(value, Parameter) else '')
-def test_what_cannot_be_used_is_refused_in_a_sentence(client: Client, parameter: Parameter,
+def test_rejects_an_invalid_value_with_a_reason(client: Client, parameter: Parameter,
                                                       reason: str) -> None:
     before = value_of(client, parameter.name)
     assert reason in client.set_parameters(parameter)
     assert value_of(client, parameter.name) == before
 
 
-def test_a_misspelt_name_is_refused_and_the_right_one_named(client: Client) -> None:
+def test_suggests_the_right_name_for_a_misspelt_one(client: Client) -> None:
     misspelt = Parameter('gate.max_sped', DOUBLE, 0.5)
     assert 'did you mean gate.max_speed?' in client.set_parameters(misspelt)
     assert 'did you mean gate.max_speed?' in set_one_by_one(client, [misspelt])[0]
 
 
-def test_all_of_a_request_or_none(client: Client) -> None:
+def test_sets_all_parameters_of_a_request_or_none(client: Client) -> None:
     good = Parameter('gate.max_gap', DOUBLE, 0.75)
     assert client.set_parameters(good, Parameter('solver.method', STRING, 'magic')) != ''
     assert value_of(client, 'gate.max_gap') == Config().gate.max_gap
@@ -98,7 +98,7 @@ def test_all_of_a_request_or_none(client: Client) -> None:
     assert client.set_parameters(*kept) == ''
 
 
-def test_a_captured_landmark_is_not_made_another(tracker: Tracker) -> None:
+def test_does_not_rename_a_captured_landmark(tracker: Tracker) -> None:
     client = tracker.client
     names, numbers = value_of(client, 'landmarks.names'), value_of(client, 'landmarks.positions')
     tracker.touch_landmarks(np.eye(4))
@@ -114,23 +114,23 @@ def test_a_captured_landmark_is_not_made_another(tracker: Tracker) -> None:
                                  Parameter('landmarks.positions', DOUBLES, list(numbers))) == ''
 
 
-def test_a_change_takes_effect_at_once(client: Client) -> None:
+def test_change_takes_effect_immediately(client: Client) -> None:
     assert client.set_parameters(Parameter('limits.min_points', INTEGER, 77)) == ''
     assert '77 are needed' in client.ask('register').message
     assert client.set_parameters(Parameter('limits.min_points', INTEGER,
                                            Config().limits.min_points)) == ''
 
 
-def test_whole_numbers_and_empty_lists_serve_where_they_make_sense(client: Client) -> None:
+def test_accepts_integers_for_doubles_and_empty_lists_of_any_type(client: Client) -> None:
     assert client.set_parameters(Parameter('gate.max_speed', INTEGER, 2)) == ''
     assert value_of(client, 'gate.max_speed') == 2.0
     assert client.set_parameters(Parameter('gate.max_speed', DOUBLE, 1.0)) == ''
-    # as ros2 param guesses the type of []
+    # the type that ros2 param assumes for []
     assert client.set_parameters(Parameter('targets.names', Parameter.Type.BOOL_ARRAY, [])) == ''
     assert value_of(client, 'targets.names') == []
 
 
-def test_all_settings_may_be_loaded_again_as_they_are(client: Client) -> None:
+def test_accepts_all_present_values_again(client: Client) -> None:
     names = [name for name, _ in settings()]
     request = GetParameters.Request(names=names)
     present = client.result(client.start(GetParameters, 'get_parameters', request)).values
@@ -140,7 +140,7 @@ def test_all_settings_may_be_loaded_again_as_they_are(client: Client) -> None:
     assert set(set_one_by_one(client, again)) == {''}
 
 
-def test_another_probe_may_be_taken_up_and_the_points_stay(start_node: StartNode) -> None:
+def test_keeps_points_when_the_probe_topic_changes(start_node: StartNode) -> None:
     node = start_node('probed')
     with Client(node) as client:
         client.await_state('active')
@@ -150,24 +150,24 @@ def test_another_probe_may_be_taken_up_and_the_points_stay(start_node: StartNode
         client.status(kept='20')
         assert client.set_parameters(Parameter('probe.topics', STRINGS, ['/other/tip'])) == ''
 
-        def heard() -> bool:
+        def received() -> bool:
             second.send(second.positions[20:21], topic='/other/tip')
             return int(client.status()['kept']) > 20
-        client.spin_until(heard, 'the other probe is not heard')
+        client.spin_until(received, 'no point of the other probe is received')
         assert client.status()['frame_id'] == 'tracker'
 
 
-def test_what_is_read_at_configuring_may_be_set_before(start_node: StartNode) -> None:
+def test_fixed_parameters_can_be_set_before_configuring(start_node: StartNode) -> None:
     node = start_node('before', autostart='false')
     with Client(node) as client:
         assert client.set_parameters(Parameter('model.frame_id', STRING, 'femur')) == ''
         assert value_of(client, 'model.frame_id') == 'femur'
 
 
-def test_the_bone_is_exchanged_while_points_come_in(start_node: StartNode,
+def test_replaces_the_bone_while_points_are_collected(start_node: StartNode,
                                                     parameters: dict[str, Any]) -> None:
     hip, femur = (BAG.parent / f'{name}.ply' for name in ('hip', 'femur'))
-    node = start_node('exchanged', **parameters | {
+    node = start_node('reloaded', **parameters | {
         'model.path': femur, 'probe.topics': ['/probe/tip'], 'collect.automatic': 'true',
         'limits.max_bone_tre': '0.01'})
     with Client(node) as client:
@@ -176,59 +176,59 @@ def test_the_bone_is_exchanged_while_points_come_in(start_node: StartNode,
         tracker.await_listener()
         tracker.send(tracker.positions, tracker.steps)
         kept = client.status(received=str(len(tracker.positions)))['kept']
-        assert not client.ask('register').success       # it is not this bone
+        assert not client.ask('register').success       # the wrong bone
         right = Parameter('model.path', STRING, str(hip))
         assert client.set_parameters(right) == ''
-        # the services are there at once, not only when the bone is
+        # the node answers while it loads the bone
         assert str(hip) in client.status()['message'] or 'is loaded' in node.log
         client.spin_until(lambda: f'{hip} is loaded' in node.log, 'the bone is not loaded')
-        client.spin_until(lambda: 'landmarks and targets were those of the bone before'
-                          in client.status()['message'], 'not taken')
+        client.spin_until(lambda: 'landmarks and targets of the previous bone are dropped'
+                          in client.status()['message'], 'the bone is not in use')
         assert client.status()['kept'] == kept
         assert value_of(client, 'landmarks.names') == []
         answer = client.ask('register')
         assert answer.success, answer.message
 
         def publisher() -> list[list[int]]:
-            infos = client.node.get_publishers_info_by_topic('/exchanged/bone_pose')
+            infos = client.node.get_publishers_info_by_topic('/reloaded/bone_pose')
             return [list(info.endpoint_gid) for info in infos]
         before = publisher()
-        # with what is named on it, which is not looked for on the bone of before
+        # with a landmark on the new bone, which does not apply to the current one
         assert client.set_parameters(Parameter('model.path', STRING, str(femur)), NAMES,
                                      POSITIONS) == ''
         assert client.status(pose='none')['kept'] == kept
         client.spin_until(lambda: 'next landmark is "one"' in client.status()['message'],
-                          'the landmark of the new bone is not asked for')
+                          'the landmark of the new bone is not requested')
         assert value_of(client, 'landmarks.names') == ['one']
-        # the pose of the hip is off the air: what stood for late joiners is gone with its publisher
-        client.spin_until(lambda: publisher() != before, 'the pose of the old bone is still there')
+        # the pose of the hip is withdrawn: its latched message is gone with its publisher
+        client.spin_until(lambda: publisher() != before, 'the previous pose is still published')
 
 
-def test_a_bone_that_cannot_be_loaded_leaves_the_old_one(start_node: StartNode, tmp_path: Path,
+def test_keeps_the_bone_if_another_cannot_be_loaded(start_node: StartNode, tmp_path: Path,
                                                          parameters: dict[str, Any]) -> None:
-    torn = tmp_path / 'torn.ply'
-    torn.write_bytes(Path(parameters['model.path']).read_bytes()[:5000])
+    truncated = tmp_path / 'truncated.ply'
+    truncated.write_bytes(Path(parameters['model.path']).read_bytes()[:5000])
     node = start_node('kept', **parameters)
     with Client(node) as client:
         client.await_state('active')
-        assert client.set_parameters(Parameter('model.path', STRING, str(torn))) == ''
-        client.spin_until(lambda: 'the bone in use is kept' in node.log, 'nothing was said')
-        assert str(torn) in client.status(state='idle')['message']
+        assert client.set_parameters(Parameter('model.path', STRING, str(truncated))) == ''
+        client.spin_until(lambda: 'the current bone is kept' in node.log, 'it is not reported')
+        assert str(truncated) in client.status(state='idle')['message']
         assert value_of(client, 'model.path') == str(parameters['model.path'])
         assert client.set_parameters(Parameter('model.unit', STRING, 'm')) == ''
         client.spin_until(lambda: 'set model.path and model.unit in one request' in node.log,
-                          'it does not tell how')
+                          'it is not explained')
         assert value_of(client, 'model.unit') == 'mm'
-        assert 'too few' in client.ask('register').message       # with the old bone, that is
+        assert 'too few' in client.ask('register').message       # with the current bone
 
 
 @pytest.mark.parametrize('given, complaint', [
     ({'solver.metod': 'paper'}, 'did you mean solver.method?'),
     ({'gate.max_speed': 'fast'}, 'gate.max_speed must be a finite number'),
     ({'landmarks.names': "['one']"}, 'must have x, y, z for each of'),
-    ({'probe.topics': "['no topic!']"}, 'is no name of a topic'),
+    ({'probe.topics': "['no topic!']"}, 'is not a valid topic name'),
 ], ids=['misspelt', 'wrong type', 'no positions', 'no topic'])
-def test_a_node_does_not_start_on_parameters_it_cannot_use(
+def test_does_not_start_with_invalid_parameters(
         start_node: StartNode, given: dict[str, Any], complaint: str) -> None:
     node = start_node('wrong', **given)
     assert node.process.wait() == 2
@@ -238,18 +238,18 @@ def test_a_node_does_not_start_on_parameters_it_cannot_use(
 
 @pytest.mark.parametrize('options', [['--params-file', 'no/such.yaml'], ['--no-such-option']],
                          ids=['no file', 'no option'])
-def test_a_node_does_not_start_on_what_ros_cannot_read(start_node: StartNode,
+def test_does_not_start_with_invalid_ros_arguments(start_node: StartNode,
                                                        options: list[str]) -> None:
-    node = start_node('unread', options=options)
+    node = start_node('invalid', options=options)
     assert node.process.wait() == 2
     assert options[-1] in node.log.splitlines()[-1]
     assert 'Traceback' not in node.log
 
 
-def test_the_shipped_settings_are_a_parameter_file(start_node: StartNode) -> None:
+def test_starts_with_the_shipped_parameter_files(start_node: StartNode) -> None:
     files = [word for name in ('registration', 'ots')
              for word in ('--params-file', f'{ROOT}/config/{name}.yaml')]
-    node = start_node('filed', options=files, **{'gate.max_speed': '2'})
+    node = start_node('from_files', options=files, **{'gate.max_speed': '2'})
     with Client(node) as client:
         client.await_state('active')
         assert value_of(client, 'landmarks.names') == []

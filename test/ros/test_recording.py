@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording played into the node by another process gives the bone."""
+"""A recording that another process plays gives the pose of the bone."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def player(*options: str) -> subprocess.Popen[bytes]:
 
 @pytest.mark.parametrize('options, topics', [
     (['--rate', '8'], ['/probe/tip']),
-    # slower: what a busy machine drops would not come again
+    # slower: dropped messages are not sent again
     (['--rate', '4', '--best-effort'], ['/probe/tip', '/probe/second']),
 ], ids=['reliable', 'best effort, two probes'])
-def test_recording_gives_the_bone(shared_node: NodeProcess, tracker: Tracker, options: list[str],
-                                  topics: list[str]) -> None:
+def test_registers_a_played_recording(shared_node: NodeProcess, tracker: Tracker,
+                                      options: list[str], topics: list[str]) -> None:
     client = tracker.client
     with player('--topic', '/probe/landmarks', *options):
         for name in tracker.truth.landmark_names:
@@ -43,8 +43,9 @@ def test_recording_gives_the_bone(shared_node: NodeProcess, tracker: Tracker, op
     assert answer.success, answer.message
 
     with Client(shared_node) as late_joiner:
-        pose = late_joiner.hear(PoseStamped, '~/bone_pose')
-        with_covariance = late_joiner.hear(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
+        pose = late_joiner.receive(PoseStamped, '~/bone_pose')
+        with_covariance = late_joiner.receive(PoseWithCovarianceStamped,
+                                              '~/bone_pose_with_covariance')
         status = late_joiner.status(state='registered')
     _, T, frame_id = ros.pose_from(pose)
     assert frame_id == 'tracker'

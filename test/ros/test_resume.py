@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node that is killed goes on where it was; what it must not take up is kept aside."""
+"""A killed node resumes its session; a journal that it cannot resume is kept."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
 from ros_support import BAG, Client, NodeProcess, Tracker
 
+from gsdf_registration.session.events import Replay
 from msg_adapters import ros
 from msg_adapters.session_journal import journal_path, read_journal
 
@@ -29,13 +30,20 @@ def kill(node: NodeProcess) -> None:
 
 @pytest.fixture
 def resuming(parameters: dict[str, Any], tmp_path: Path) -> dict[str, Any]:
-    """Return the parameters of a node that resumes and collects on its own."""
+    """Return the parameters of a node that resumes its session and collects automatically."""
     return parameters | {'session.path': tmp_path / 'session.json', 'session.resume': 'true',
                          'collect.automatic': 'true'}
 
 
-def test_a_killed_node_goes_on_where_it_was(start_node: StartNode, resuming: dict[str, Any],
-                                            tmp_path: Path) -> None:
+def points_in(journal: Path) -> int:
+    """Return the number of points in a journal, which must not be damaged."""
+    replay = Replay()
+    assert read_journal(journal, replay.apply) == ''
+    return len(replay.session['points'])
+
+
+def test_resumes_the_session_of_a_killed_node(start_node: StartNode, resuming: dict[str, Any],
+                                              tmp_path: Path) -> None:
     node = start_node('killed', **resuming)
     with Client(node) as client:
         client.await_state('active')
@@ -51,8 +59,9 @@ def test_a_killed_node_goes_on_where_it_was(start_node: StartNode, resuming: dic
         before = client.status(state='registered')
         assert int(before['kept']) > 0.9 * half
         stamp = tracker._stamp
-        assert 'no folder' in client.set_parameters(Parameter('session.path', value='no/s.json'))
-        moved = tmp_path / 'moved.json'     # and the journal with it
+        refused = client.set_parameters(Parameter('session.path', value='no/s.json'))
+        assert 'cannot be written' in refused
+        moved = tmp_path / 'moved.json'     # the journal moves, too
         assert client.set_parameters(Parameter('session.path', value=str(moved))) == ''
     kill(node)
     assert not journal_path(resuming['session.path']).exists()
@@ -68,21 +77,21 @@ def test_a_killed_node_goes_on_where_it_was(start_node: StartNode, resuming: dic
         assert 'resumed from' in again.log
         tracker = Tracker(client)
         tracker._stamp = stamp
-        T = ros.pose_from(client.hear(PoseStamped, '~/bone_pose'))[1]    # of before
+        T = ros.pose_from(client.receive(PoseStamped, '~/bone_pose'))[1]    # from before
         tracker.assert_near_truth(T, STILL)
         tracker.send(tracker.positions[half:], tracker.steps[half:])
         client.spin_until(lambda: int(client.status()['kept']) > 600, 'points were lost')
         answer = client.ask('register')
         assert answer.success, answer.message
-        tracker.assert_near_truth(ros.pose_from(client.hear(PoseStamped, '~/bone_pose'))[1], STILL)
+        T = ros.pose_from(client.receive(PoseStamped, '~/bone_pose'))[1]
+        tracker.assert_near_truth(T, STILL)
         kept = client.status(state='registered')['kept']
     kill(again)
-    session, damage = read_journal(journal_path(moved)) or ({}, '')
-    assert damage == '' and len(session['points']) == int(kept)     # nothing lost, nothing twice
+    assert points_in(journal_path(moved)) == int(kept)     # none lost, none twice
 
 
 def send_forty(client: Client) -> str:
-    """Send 40 points to a node that starts; return how many it has kept."""
+    """Send 40 points to a node that starts; return how many it keeps."""
     client.await_state('active')
     tracker = Tracker(client)
     tracker.await_listener()
@@ -90,25 +99,24 @@ def send_forty(client: Client) -> str:
     return client.status(received='40')['kept']
 
 
-def test_what_was_cleared_is_not_resumed_and_not_lost(start_node: StartNode,
-                                                      resuming: dict[str, Any],
-                                                      tmp_path: Path) -> None:
+def test_keeps_a_cleared_session_but_does_not_resume_it(start_node: StartNode,
+                                                        resuming: dict[str, Any],
+                                                        tmp_path: Path) -> None:
     node = start_node('cleared', **resuming)
     with Client(node) as client:
         kept = send_forty(client)
         assert client.ask('clear').success
     kill(node)
     journal = journal_path(tmp_path / 'session.json')
-    aside = read_journal(journal.with_name(f'{journal.name}.1'))
-    assert aside is not None and len(aside[0]['points']) == int(kept) > 30
+    assert points_in(journal.with_name(f'{journal.name}.1')) == int(kept) > 30
     again = start_node('again', **resuming)
     with Client(again) as client:
         client.await_state('active')
         assert client.status()['kept'] == '0'
 
 
-def test_a_journal_of_another_bone_is_kept_aside(start_node: StartNode, resuming: dict[str, Any],
-                                                 tmp_path: Path) -> None:
+def test_keeps_the_journal_of_another_bone(start_node: StartNode, resuming: dict[str, Any],
+                                           tmp_path: Path) -> None:
     node = start_node('hip', **resuming)
     with Client(node) as client:
         kept = send_forty(client)
@@ -120,19 +128,19 @@ def test_a_journal_of_another_bone_is_kept_aside(start_node: StartNode, resuming
         assert 'belongs to another bone model' in status['message']
         aside = tmp_path / 'session.json.journal.1'
         assert f'is kept as {aside}' in status['message']
-    found = read_journal(aside)
-    assert found is not None and len(found[0]['points']) == int(kept) > 30
+    assert points_in(aside) == int(kept) > 30
 
 
-def test_a_journal_that_cannot_be_written_costs_no_point(start_node: StartNode,
+def test_loses_no_point_if_the_journal_cannot_be_written(start_node: StartNode,
                                                          resuming: dict[str, Any],
                                                          tmp_path: Path) -> None:
-    node = start_node('poor', **resuming | {'session.path': tmp_path / 'none' / 'session.json'})
+    path = tmp_path / 'none' / 'session.json'
+    node = start_node('unwritable', **resuming | {'session.path': path})
     with Client(node) as client:
         client.await_state('active')
         tracker = Tracker(client)
         tracker.await_listener()
         tracker.send(tracker.positions[:50], tracker.steps[:50])
         client.spin_until(lambda: int(client.status()['kept']) > 45, 'points were lost')
-    # once for the session in which a listener was awaited, once for this one
+    # once per session: each clear in `await_listener` starts one
     assert 1 <= node.log.count('cannot be written') <= 2 * len(tracker._publishers) + 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be seen on the topics of the node, and that the shipped layouts listen to them."""
+"""The scene topics of the node, and the topics of the shipped layouts."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def positions(points: list[Point]) -> np.ndarray:
     return np.array([[point.x, point.y, point.z] for point in points])
 
 
-def test_who_comes_late_sees_the_bone_and_the_points_on_it(tracker: Tracker,
-                                                           shared_node: NodeProcess) -> None:
+def test_late_joiner_receives_bone_and_points(tracker: Tracker,
+                                              shared_node: NodeProcess) -> None:
     tracker.touch_landmarks(STILL)
     tracker.drag(STILL)
     answer = tracker.client.ask('register')
@@ -28,47 +28,49 @@ def test_who_comes_late_sees_the_bone_and_the_points_on_it(tracker: Tracker,
 
     def complete(array: MarkerArray) -> bool:
         return any(marker.ns == 'points' and marker.points for marker in array.markers)
-    with Client(shared_node) as screen:
+    with Client(shared_node) as display:
         shown = {(marker.ns, marker.id): marker
-                 for marker in screen.hear(MarkerArray, '~/markers', accept=complete).markers}
+                 for marker in display.receive(MarkerArray, '~/markers', accept=complete).markers}
     bone, points = shown['bone', 0], shown['points', 0]
     assert {marker.header.frame_id for marker in shown.values()} == {'bone'}
     assert bone.type == Marker.TRIANGLE_LIST and len(bone.colors) == len(bone.points)
     assert 0.1 < np.ptp(positions(bone.points), axis=0).max() < 0.3     # metres
-    # most points lie on the bone as it is drawn, a few millimetres coarse
+    # most points lie on the drawn bone, whose triangles are a few millimetres wide
     corners = positions(bone.points)
-    off = np.array([np.linalg.norm(corners - point, axis=1).min()
+    distances = np.array([np.linalg.norm(corners - point, axis=1).min()
                     for point in positions(points.points)])
-    assert np.median(off) < 0.005
+    assert np.median(distances) < 0.005
     assert len({(c.r, c.g, c.b) for c in points.colors}) > 10
-    assert shown['patch', 0].action == Marker.DELETE    # the pose is held: nothing more to touch
+    # the pose is constrained: nothing to touch next
+    assert shown['patch', 0].action == Marker.DELETE
 
 
-def test_the_place_that_would_decide_between_poses_is_seen(tracker: Tracker) -> None:
+def test_shows_the_place_that_decides_between_poses(tracker: Tracker) -> None:
     client = tracker.client
     assert client.collect(True).success
     tracker.send(tracker.positions[:120], tracker.steps[:120])
-    told = client.status(live__reason='ambiguous')
-    assert told['touch_next'] in told['message'] and told['touch_next'].startswith('touch the bone')
+    status = client.status(live__reason='ambiguous')
+    assert status['touch_next'].startswith('touch the bone')
+    assert status['touch_next'] in status['message']
 
     def marked(array: MarkerArray) -> dict[tuple[str, int], Marker]:
         return {(marker.ns, marker.id): marker for marker in array.markers
                 if marker.action == Marker.ADD}
-    shown = marked(client.hear(MarkerArray, '~/markers',
+    shown = marked(client.receive(MarkerArray, '~/markers',
                                accept=lambda array: ('patch', 0) in marked(array)))
     assert shown['patch_label', 0].text == '1: decides'
     assert ('patch', 1) not in shown
     assert client.ask('clear').success
-    client.hear(MarkerArray, '~/markers', accept=lambda array: ('patch', 0) not in marked(array))
+    client.receive(MarkerArray, '~/markers', accept=lambda array: ('patch', 0) not in marked(array))
 
 
-def test_every_topic_of_the_layouts_is_one_of_the_node(tracker: Tracker) -> None:
+def test_node_has_every_topic_and_service_of_the_layouts(tracker: Tracker) -> None:
     node = tracker.client.node
     ours = {topic: settings for topic, settings in rviz_topics().items()
             if topic.startswith('/registration/')}
     for topic, settings in ours.items():
         tracker.client.spin_until(lambda topic=topic: node.get_publishers_info_by_topic(topic),
-                                  f'nobody publishes {topic}')
+                                  f'{topic} has no publisher')
         publisher, = node.get_publishers_info_by_topic(topic)
         assert (publisher.node_name, publisher.topic_type) == ('registration', settings['message'])
         latched = publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
@@ -76,8 +78,8 @@ def test_every_topic_of_the_layouts_is_one_of_the_node(tracker: Tracker) -> None
     for topic in rviz_topics().keys() - ours.keys():
         assert node.get_subscriptions_info_by_topic(topic)
     panels = FOXGLOVE['configById']
-    said = {panels[panel].get('topicPath', '').rpartition('.')[0] or panels[panel]['topicToRender']
+    shown = {panels[panel].get('topicPath', '').rpartition('.')[0] or panels[panel]['topicToRender']
             for panel in panels if panel.startswith(('RawMessages', 'Diagnostic'))}
-    assert said <= {topic for topic, _ in node.get_topic_names_and_types()}
+    assert shown <= {topic for topic, _ in node.get_topic_names_and_types()}
     called = {panel['serviceName'] for panel in panels.values() if 'serviceName' in panel}
     assert called <= {service for service, _ in node.get_service_names_and_types()}
