@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wait until enough of the bone was touched, register it, and print its pose."""
+"""Wait until enough points are collected, register, and print the pose of the bone."""
 
 import sys
 
@@ -15,7 +15,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def main() -> int:
-    """Return 0 if the bone was found."""
+    """Return 0 if the registration was accepted."""
     rclpy.init()
     node, ready, pose = Node('operator'), Future(), Future()
 
@@ -28,10 +28,10 @@ def main() -> int:
     rclpy.spin_until_future_complete(node, ready)
     client = node.create_client(Trigger, '/registration/register')
     client.wait_for_service()
-    answer = client.call_async(Trigger.Request())
-    rclpy.spin_until_future_complete(node, answer)
-    print(answer.result().message)
-    if not answer.result().success:
+    response = client.call_async(Trigger.Request())
+    rclpy.spin_until_future_complete(node, response)
+    print(response.result().message)
+    if not response.result().success:
         return 1
     node.create_subscription(PoseStamped, '/registration/bone_pose', pose.set_result, LATCHED)
     rclpy.spin_until_future_complete(node, pose)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other libraries that find a bone under points, in environments and processes of their own."""
+"""Other registration libraries: in this process, or in separate environments and processes."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A peer at work: its process, what it is asked, and what becomes of it when it takes too long."""
+"""The process of a peer: send it points, receive its pose, stop it after a time limit."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ import numpy as np
 from benchmarks.peers.environment import clean_environment
 from gsdf_registration.common.rigid import Array
 
-LIMIT = 60.0            # s, for an answer
-PREPARATION = 600.0     # s, to import a library and to prepare a bone; not timed
+LIMIT = 60.0            # s, per answer
+PREPARATION = 600.0     # s, to import a library and to prepare a bone; not measured
 WORKERS = Path(__file__).parent / 'workers'
 
 
 class PeerError(Exception):
-    """There is no answer; ``timeout`` tells that there may have been one later."""
+    """There is no answer; ``timeout``: because the time limit was reached."""
 
     def __init__(self, message: str, timeout: bool = False) -> None:
         super().__init__(message)
@@ -32,18 +32,18 @@ class PeerError(Exception):
 
 class Caller:
     """
-    A peer that has prepared a bone.
+    A peer with a prepared bone.
 
     Parameters
     ----------
-    python : of the peer's environment
+    python : of the environment of the peer
     worker : module and function among the workers
     model : file with vertices, faces, points and normals of the bone, m
 
     Raises
     ------
     PeerError
-        If it cannot be brought to work.
+        If it cannot be started.
 
     """
 
@@ -58,17 +58,17 @@ class Caller:
 
     def __call__(self, points: Array, noise: float) -> tuple[Array, float]:
         """
-        Return the motion (4, 4) that takes the points onto the bone, and the seconds it took.
+        Return the transform (4, 4), m, from the points to the bone, and the time, s.
 
         Parameters
         ----------
-        points : (n, 3) float, m, bone frame, as placed by the start
+        points : (n, 3) float, m, bone frame, transformed by the start
         noise : float, m, standard deviation per axis
 
         Raises
         ------
         PeerError
-            If it fails, or takes longer than the limit; it is of no use afterwards.
+            If it fails, or exceeds the time limit, after which it is stopped.
 
         """
         assert self._process.stdin is not None
@@ -77,7 +77,7 @@ class Caller:
             self._process.stdin.write(question.encode() + b'\n')
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise PeerError(self._end()) from None
+            raise PeerError(self._exit_status()) from None
         answer = self._answer(self.limit)
         motion = np.array(answer['motion'])
         if motion.shape != (4, 4) or not np.isfinite(motion).all():
@@ -86,11 +86,11 @@ class Caller:
 
     @property
     def alive(self) -> bool:
-        """Whether it can be asked again."""
+        """Whether it can answer again."""
         return self._process.poll() is None
 
     def close(self) -> None:
-        """End the process."""
+        """Kill the process."""
         self._process.kill()
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
@@ -104,7 +104,7 @@ class Caller:
             self.close()
             raise PeerError(f'no answer within {limit:.0f} s', timeout=True) from None
         if line is None:
-            raise PeerError(self._end())
+            raise PeerError(self._exit_status())
         answer: dict[str, Any] = json.loads(line)
         if 'error' in answer:
             raise PeerError(answer['error'])
@@ -125,8 +125,8 @@ class Caller:
         line, _, self._rest = self._rest.partition(b'\n')
         return line
 
-    def _end(self) -> str:
-        """Say how the process ended."""
+    def _exit_status(self) -> str:
+        """Return as text how the process exited."""
         status = self._process.wait()
         self.close()
-        return f'died of signal {-status}' if status < 0 else f'ended with status {status}'
+        return f'died of signal {-status}' if status < 0 else f'exited with status {status}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The peers and what each needs to run."""
+"""The peers and their requirements."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from benchmarks.peers.environment import Group
 
 CURRENT = Group(
     'current', ('3.12', '3.11', '3.10'),
-    # py-goicp is built from sources that say nothing of what they need for it
+    # py-goicp is built from sources that do not declare their build requirements
     ('setuptools<80', 'wheel', 'numpy', 'cython<3.3', 'autowrap==0.22.11', 'open3d==0.20.0'),
     {'open3d': ('open3d==0.20.0',), 'small_gicp': ('small_gicp==1.0.1',),
      'meshlib': ('meshlib==3.1.4.297',), 'fricp-cpp': ('fricp-cpp==1.0.0',),
@@ -28,9 +28,9 @@ class Peer:
     """
     A method of another library.
 
-    worker : module and function among the workers
-    guided : whether it needs a start
-    cost : how dear a trial is: 0 cheap, 1 seconds, 2 tens of seconds, 3 the whole time limit
+    worker : module and function in workers/
+    guided : whether it needs an initial guess
+    cost : of a trial: 0: less than a second, 1: seconds, 2: tens of seconds, 3: the time limit
     """
 
     name: str

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Virtual environments for the peers, made once and kept in the cache.
+Virtual environments for the peers, created once and stored in the cache.
 
-A library that is out of print wants its own Python and pins; none of them shall touch ours.
+Unmaintained libraries need an old Python and pinned versions; the environments keep them apart.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Group:
     """
     Libraries that share an environment.
 
-    pythons : versions that will do, the best first
-    base : requirements installed first, all of which are needed
-    libraries : name -> requirements of that library alone; one that fails leaves the others be
+    pythons : suitable versions, the best first
+    base : requirements installed first; all are needed
+    libraries : name -> requirements of that library; a failure does not affect the others
     """
 
     name: str
@@ -41,7 +41,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Environment:
-    """A Python, and why libraries are missing from it; without a Python, all of them are."""
+    """A Python (None: not created), and the reason for each library that is missing."""
 
     python: Path | None
     missing: dict[str, str]
@@ -49,13 +49,13 @@ class Environment:
 
 def environment(group: Group) -> Environment:
     """
-    Return the environment of a group; what is not installed yet is, which takes minutes.
+    Return the environment of a group; missing libraries are installed, which takes minutes.
 
-    What could not be had is tried again the next time.
+    A library that could not be installed is tried again the next time.
     """
     interpreter = next(_pythons(group.pythons), None)
     if interpreter is None:
-        reason = f'needs Python {" or ".join(group.pythons)} with venv, and none is found'
+        reason = f'needs Python {" or ".join(group.pythons)} with venv, which was not found'
         return Environment(None, dict.fromkeys(group.libraries, reason))
     recipe = json.dumps([str(interpreter), group.base])
     digest = hashlib.sha256(recipe.encode()).hexdigest()[:12]
@@ -82,19 +82,19 @@ def environment(group: Group) -> Environment:
 
 
 def clean_environment() -> dict[str, str]:
-    """Return our environment variables without those that lead a Python to our own packages."""
+    """Return the environment variables without those that point to our own packages."""
     return {name: value for name, value in os.environ.items()
             if name not in ('PYTHONPATH', 'PYTHONHOME', 'VIRTUAL_ENV', 'LD_LIBRARY_PATH')}
 
 
 def _install(python: Path, requirements: tuple[str, ...]) -> None:
-    # with what `base` brought for building: some sources do not say what they are built with
+    # build with the packages of `base`: some sources do not declare what they need
     _run([python, '-m', 'pip', 'install', '--quiet', '--disable-pip-version-check',
           '--no-build-isolation', *requirements])
 
 
 def _run(command: list[Path | str]) -> None:
-    """Run a command; raise RuntimeError with the line of its output that says why it failed."""
+    """Run a command; raise RuntimeError with the error line of its output if it fails."""
     try:
         done = subprocess.run(command, env=clean_environment(), stdin=subprocess.DEVNULL,
                               capture_output=True, text=True, timeout=INSTALL_LIMIT)
@@ -107,7 +107,7 @@ def _run(command: list[Path | str]) -> None:
 
 
 def _pythons(versions: tuple[str, ...]) -> Iterator[Path]:
-    """Yield interpreters of these versions that can make an environment."""
+    """Yield interpreters of these versions that can create an environment."""
     probe = 'import ensurepip, venv, sys; print(*sys.version_info[:2], sep=".")'
     for version in versions:
         own = [Path(sys.executable)] if version == OWN else []
@@ -115,9 +115,9 @@ def _pythons(versions: tuple[str, ...]) -> Iterator[Path]:
         pyenv = Path(os.environ.get('PYENV_ROOT') or Path.home() / '.pyenv') / 'versions'
         for python in (*on_path, *sorted(pyenv.glob(f'{version}.*/bin/python')), *own):
             try:
-                said = subprocess.run([python, '-c', probe], env=clean_environment(),
+                probed = subprocess.run([python, '-c', probe], env=clean_environment(),
                                       capture_output=True, text=True, timeout=30.0)
             except (OSError, subprocess.TimeoutExpired):
                 continue
-            if said.stdout.strip() == version:
+            if probed.stdout.strip() == version:
                 yield python

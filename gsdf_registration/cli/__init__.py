@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``gsdf``: one file a subcommand."""
+"""The command ``gsdf``, one module per subcommand."""

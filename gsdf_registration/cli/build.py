@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``gsdf build``: a bone model to its gradient-SDF."""
+"""``gsdf build``: build the gradient-SDF of a bone model."""
 
 from __future__ import annotations
 
@@ -7,31 +7,28 @@ import argparse
 import time
 from typing import Any
 
-from gsdf_registration.cli.common import example
+from gsdf_registration.common.command_line import example, number
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'build',
-        help='build the gradient-SDF of a bone model',
-        description=
-        'Build the gradient-SDF of a bone model, once: it is kept in the cache, and written to a '
-        'file if you say so.',
+        'build', help='build the gradient-SDF of a bone model',
+        description='Build the gradient-SDF of a bone model. It is stored in the cache and, with '
+        '-o, in a file.',
         **example('gsdf build hip.stl --model-unit mm -o hip.gsdf'))
-    parser.add_argument('model',
-                        metavar='MODEL',
+    parser.add_argument('model', metavar='MODEL',
                         help='STL, PLY, OBJ, OFF, or a point cloud with normals')
     parser.add_argument('--model-unit', choices=('mm', 'm'), default='mm',
                         help='unit of the lengths in MODEL (default: mm)')
-    parser.add_argument('--voxel', type=float, default=1.0, metavar='MM',
+    parser.add_argument('--voxel', type=number, default=1.0, metavar='MM',
                         help='spacing of the samples near the surface, mm (default: 1)')
-    parser.add_argument('-o', '--output', metavar='FIELD.gsdf', help='where to write the field')
+    parser.add_argument('-o', '--output', metavar='FIELD.gsdf', help='file to write the field to')
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build, and say what was built."""
+    """Build the field and print its size."""
     from gsdf_registration.common.config import Config
     from gsdf_registration.field import save_field
     from gsdf_registration.field.model import load_model
@@ -46,5 +43,5 @@ def run(args: argparse.Namespace) -> int:
     size = ' x '.join(f'{1e3 * side:.0f}' for side in field.bounds[1] - field.bounds[0])
     print(f'{args.model}: {size} mm, field of {1e3 * field.voxel_size:g} mm voxels, '
           f'{1e-6 * field.nbytes:.1f} MB, {seconds:.2f} s'
-          + (f', in {args.output}' if args.output else ''))
+          + (f', written to {args.output}' if args.output else ''))
     return 0

@@ -1,22 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``gsdf demo``: the real node over real DDS, fed with the recording that comes along."""
+"""``gsdf demo``: run the node over DDS with the shipped recording."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import common
-from gsdf_registration.common.formatting import counted
+from gsdf_registration.cli import outputs
+from gsdf_registration.clients.processes import running
+from gsdf_registration.common.command_line import example
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 
 if TYPE_CHECKING:
@@ -27,9 +26,9 @@ if TYPE_CHECKING:
     from msg_adapters.truth import Truth
 
 SHARE = 'package://gsdf_registration/bags'
-RATE = 6.0      # times as fast as recorded
-STARTUP = 240.0     # s; the first start ever compiles the kernels and builds the field
-PATIENCE = 15.0     # s
+RATE = 6.0          # playback speed relative to the recording
+STARTUP = 240.0     # s; the very first start compiles the kernels and builds the field
+PATIENCE = 15.0     # s, for a response
 REPORT = 'out/demo_report.html'
 
 
@@ -37,66 +36,66 @@ def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'demo',
-        help='see a bone found: a ROS 2 node, a recorded tracker, an operator',
+        help='run the ROS 2 node on a shipped recording',
         description=
-        'Start the registration node on a ROS domain of its own, play a recorded run of an '
-        'optical tracker into it, touch its landmarks, register, and compare the pose with the '
-        'truth.',
-        **common.example('gsdf demo'))
-    parser.add_argument('--report', metavar='OUT.html', help='where the page to read and look at '
-                        f'goes (default: {REPORT}, if the extra "report" is installed)')
+        'Start the registration node in a private ROS domain, play a recording of an optical '
+        'tracker, capture the landmarks, register, and compare the pose with the ground truth.',
+        **example('gsdf demo'))
+    parser.add_argument('--report', metavar='OUT.html', help='file of the HTML report '
+                        f'(default: {REPORT}, if the extra "report" is installed)')
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show it; 0 if the bone was found."""
-    report = where_to_report(args.report)
+    """Run the demo; return 0 if the bone was found."""
+    report = report_path(args.report)
     try:
-        from gsdf_registration.clients.domain import own_domain
+        from gsdf_registration.clients.domain import private_domain
         from gsdf_registration.clients.operator import Operator
     except ImportError as error:
         raise InputError(
-            f'the demonstration needs ROS 2 ({error}): source a ROS 2 Jazzy install, or install '
+            f'the demo needs ROS 2 ({error}): source a ROS 2 Jazzy install, or install '
             'gsdf-registration[ros]') from None
     from gsdf_registration.field.model import find_model
     from msg_adapters.truth import read_truth
 
     truth_file = find_model(f'{SHARE}/hip_optical.yaml')
     bag, truth = truth_file.with_suffix(''), read_truth(truth_file)
-    say = Narrator()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))       # the processes end with us
-    with own_domain() as environment, tempfile.TemporaryDirectory() as folder:
+    log = Log()
+    # exit in the regular way, so that the child processes end, too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    with private_domain() as environment, tempfile.TemporaryDirectory() as folder:
         os.environ.update(environment)
-        say(f'starting the node on ROS domain {environment["ROS_DOMAIN_ID"]}')
+        log(f'starting the node in ROS domain {environment["ROS_DOMAIN_ID"]}')
         command = node_command(truth_file.parent / truth.model, truth, f'{folder}/session.json')
         with running(command, 'the node') as node, \
                 Operator(patience=STARTUP, alive=lambda: node.poll() is None) as operator:
             await_ready(operator)
-            say(f'the node is active, its bone is {truth.model}; '
-                f'playing {bag.name}, {RATE:g} times as fast')
-            touch_landmarks(operator, bag, truth, say)
-            drag(operator, bag, say)
+            log(f'the node is active with the model {truth.model}; '
+                f'playing {bag.name} at {RATE:g} times the recorded speed')
+            capture_landmarks(operator, bag, truth, log)
+            collect_strokes(operator, bag, log)
             answer = operator.ask('register')
-            say(f'register: {answer.message}')
+            log(f'register: {answer.message}')
             if answer.success:
-                show(truth_file, truth, report, say)
+                show(truth_file, truth, report, log)
             return 0 if answer.success else 1
 
 
-def where_to_report(wanted: str | None) -> str | None:
-    """Return where the page goes; without plotly it is missed only by who asked for it."""
+def report_path(wanted: str | None) -> str | None:
+    """Return the file of the report; None without plotly, unless the report was asked for."""
     try:
-        common.require_report(wanted or REPORT)
+        outputs.require_report(wanted or REPORT)
     except InputError as missing:
         if wanted:
             raise
-        print(f'no page will be written: {missing.message}')
+        print(f'no report will be written: {missing.message}')
         return None
     return wanted or REPORT
 
 
-class Narrator:
-    """Tells what happens, and when."""
+class Log:
+    """Prints lines with the time since the start."""
 
     def __init__(self) -> None:
         self._start = time.monotonic()
@@ -110,7 +109,7 @@ def node_command(model: Path, truth: Truth, session: str) -> list[str]:
     """
     Return the command that starts the node for a recording.
 
-    Its landmarks come first, then the strokes.
+    The recording has the landmarks on one topic and the strokes on another.
     """
     numbers = ', '.join(repr(float(number)) for number in truth.landmarks_model.ravel())
     values = {'model.path': model, 'model.unit': truth.model_unit, 'collect.automatic': 'false',
@@ -127,45 +126,26 @@ def player_command(bag: Path, topic: str) -> list[str]:
             '--rate', str(RATE)]
 
 
-@contextmanager
-def running(command: Sequence[str], name: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process as long as the block; if that fails, show what the process had to say."""
-    with tempfile.TemporaryFile() as log:
-        process = subprocess.Popen(command, stdout=log, stderr=log)
-        try:
-            yield process
-        except InputError as error:
-            raise InputError(f'{error.message}; {name} says: {_tail(log)}') from None
-        finally:
-            process.terminate()
-            process.wait()
-
-
-def _tail(log: IO[bytes]) -> str:
-    log.seek(0)
-    return ' | '.join(log.read().decode(errors='replace').split('\n')[-5:]).strip(' |') or 'nothing'
-
-
 def await_ready(operator: Operator) -> None:
-    """Wait for the node to have loaded its bone, or pass on why it could not."""
+    """Wait until the node has loaded its model; raise `InputError` if it could not."""
     from diagnostic_msgs.msg import DiagnosticStatus
 
-    status = operator.hear(
-        DiagnosticStatus,
-        '~/status',
-        accept=lambda status: told(status)['state'] == 'idle' or told(status)['reason'] != '')
-    if told(status)['reason'] != '':
+    status = operator.receive(
+        DiagnosticStatus, '~/status',
+        accept=lambda status: values_of(status)['state'] == 'idle'
+        or values_of(status)['reason'] != '')
+    if values_of(status)['reason']:
         raise InputError(status.message)
     operator.patience = PATIENCE
 
 
-def told(status: DiagnosticStatus) -> dict[str, str]:
-    """Return the values of a status by name."""
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a status message by key."""
     return {pair.key: pair.value for pair in status.values}
 
 
-def touch_landmarks(operator: Operator, bag: Path, truth: Truth, say: Narrator) -> None:
-    """Capture each landmark as soon as the tip rests there."""
+def capture_landmarks(operator: Operator, bag: Path, truth: Truth, log: Log) -> None:
+    """Capture each landmark as soon as the tip is stationary there."""
     with running(player_command(bag, '/probe/landmarks'), 'the player'):
         captured = 0
 
@@ -174,34 +154,35 @@ def touch_landmarks(operator: Operator, bag: Path, truth: Truth, say: Narrator) 
             answer = operator.ask('capture_landmark')
             if answer.success:
                 captured += 1
-                say(answer.message)
+                log(answer.message)
             return captured == len(truth.landmark_names)
-        operator.spin_until(all_captured, 'the tip did not rest at all landmarks')
+        operator.spin_until(all_captured, 'not all landmarks were captured')
 
 
-def drag(operator: Operator, bag: Path, say: Narrator) -> None:
-    """Collect what the probe touches."""
-    say(operator.collect(True).message)
+def collect_strokes(operator: Operator, bag: Path, log: Log) -> None:
+    """Collect the points of the recording."""
+    log(operator.collect(True).message)
     with running(player_command(bag, '/probe/tip'), 'the player') as player:
         player.wait()
-    say(operator.collect(False).message)
+    log(operator.collect(False).message)
 
 
-def show(truth_file: Path, truth: Truth, report: str | None, say: Narrator) -> None:
-    """Receive what a late joiner does, say how good it is, and write the page."""
+def show(truth_file: Path, truth: Truth, report: str | None, log: Log) -> None:
+    """Receive the result as a late joiner, print its true error and write the report."""
     from gsdf_registration.cli.summary import true_error
     from gsdf_registration.field.model import load_model
+    from msg_adapters.files import sha256_of
 
-    result, points, frame_id, values = heard()
+    result, points, frame_id, values = receive_result()
     field = load_model(str(truth_file.parent / truth.model), truth.model_unit)
     assert result.T_tracker_bone is not None
     error = true_error(result, field, truth.T_tracker_bone)
-    say('a client that joined after all this has received the pose:')
+    log('a client that joined after the registration received the pose:')
     for row in result.T_tracker_bone[:3]:
         print('   ' + ''.join(f'{value:10.5f}' for value in row))
     print(f'  T_{frame_id}_bone, metres')
     print(f'  true error     {error}')
-    print(f'  the node saw   {what_was_seen(values)}', flush=True)
+    print(f'  points         {describe_points(values)}', flush=True)
     if report is None:
         return
     from gsdf_registration.visualization import write_report
@@ -209,14 +190,15 @@ def show(truth_file: Path, truth: Truth, report: str | None, say: Narrator) -> N
     title = f'{truth.model} from {truth_file.stem}, over ROS 2'
     write_report(report, result, field, points, title=title, about={
         'model': truth.model, 'model SHA-256': field.bone_sha256, 'recording': truth_file.stem,
-        'points SHA-256': common.sha256_of(str(truth_file.with_suffix(''))),
+        'points SHA-256': sha256_of(str(truth_file.with_suffix(''))),
         'frame of the points': frame_id, 'true error': error,
-        'the node saw': what_was_seen(values), 'weakest direction': values['weakest_direction']})
-    say(f'report: {report}')
+        'collected points': describe_points(values),
+        'weakest direction': values['weakest_direction']})
+    log(f'report: {report}')
 
 
-def heard() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
-    """Return what the node published: result, points (n, 3) m, their frame, its status by name."""
+def receive_result() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
+    """Return from the topics the result, the points (n, 3) m, their frame and the status values."""
     import numpy as np
     from diagnostic_msgs.msg import DiagnosticStatus
     from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -227,11 +209,11 @@ def heard() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
     from msg_adapters.ros import cloud_to_arrays, pose_from
 
     with Operator() as late_joiner:
-        pose = late_joiner.hear(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
-        cloud = cloud_to_arrays(late_joiner.hear(PointCloud2, '~/points'))
-        status = late_joiner.hear(DiagnosticStatus, '~/status')
+        pose = late_joiner.receive(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
+        cloud = cloud_to_arrays(late_joiner.receive(PointCloud2, '~/points'))
+        status = late_joiner.receive(DiagnosticStatus, '~/status')
     _, T, frame_id = pose_from(PoseStamped(header=pose.header, pose=pose.pose.pose))
-    values = told(status)
+    values = values_of(status)
     on_bone = np.stack([cloud[name] for name in 'xyz'], axis=1).astype(np.float64)
     result = RegistrationResult(
         Reason.CONVERGED, status.message, T, np.reshape(pose.pose.covariance, (6, 6)),
@@ -243,13 +225,11 @@ def heard() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
     return result, transform(T, on_bone), frame_id, values
 
 
-def what_was_seen(values: dict[str, str]) -> str:
-    """Return in words what the node's status says of the points."""
-    refused = [
-        f'{count} {key.removeprefix("rejected.").replace("_", " ")}'
-        for key, count in values.items() if key.startswith('rejected.') and count != '0'
-    ]
-    return (f'{values["received"]} points; kept {values["kept"]} in '
-            + counted(int(values['strokes']), 'stroke')
-            + (f'; not kept {", ".join(refused)}' if refused else '')
-            + f'; {counted(int(values["landmarks"]), "landmark")}')
+def describe_points(values: dict[str, str]) -> str:
+    """Return as text what the status of the node reports on the points."""
+    rejected = [f'{count} {key.removeprefix("rejected.").replace("_", " ")}'
+                for key, count in values.items() if key.startswith('rejected.') and count != '0']
+    return (f'{values["received"]} received; {values["kept"]} kept in '
+            + format_count(int(values['strokes']), 'stroke')
+            + (f'; rejected: {", ".join(rejected)}' if rejected else '')
+            + f'; {format_count(int(values["landmarks"]), "landmark")}')

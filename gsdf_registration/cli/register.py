@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``gsdf register``: touched points from a file to the pose of the bone."""
+"""``gsdf register``: find the pose of a bone from the points in a file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import common
+from gsdf_registration.cli import inputs, options, outputs
+from gsdf_registration.common.command_line import example
 from gsdf_registration.common.result import Refusal, RegistrationResult
 
 if TYPE_CHECKING:
@@ -24,34 +25,32 @@ def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'register', help='register points to a bone model',
-        description='Find the pose of a bone from points touched on it.',
-        **common.example('gsdf register hip.stl points.csv --unit mm --landmarks landmarks.csv '
-                         '--json pose.json'))
-    parser.add_argument('model', metavar='MODEL',
-                        help='STL, PLY, OBJ, OFF, a .gsdf field, or a point cloud with normals')
+        description='Find the pose of a bone from points that a probe touched on it.',
+        **example('gsdf register hip.stl points.csv --unit mm --landmarks landmarks.csv '
+                  '--json pose.json'))
+    parser.add_argument('model', metavar='MODEL', help=options.MODEL_HELP)
     parser.add_argument('points', metavar='POINTS',
-                        help='CSV with header x,y,z; an NDI tracker CSV; PLY or XYZ')
-    parser.add_argument('--unit',
-                        choices=('mm', 'm'),
-                        required=True,
+                        help='CSV with the header x,y,z; an NDI tracker CSV; PLY or XYZ')
+    parser.add_argument('--unit', choices=('mm', 'm'), required=True,
                         help='unit of the lengths in POINTS')
-    common.add_registration_options(parser)
+    options.add_registration_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Register, say the outcome, write it; 1 if refused."""
+    """Register, print and write the result; return 1 if it is rejected."""
     from gsdf_registration.cli.result_json import result_to_json
-    from gsdf_registration.cli.summary import summary
+    from gsdf_registration.cli.summary import counts_by_cause, summary
+    from msg_adapters.files import sha256_of
     from msg_adapters.points import read_points
 
-    common.require_report(args.report)
+    outputs.require_report(args.report)
     started = time.perf_counter()
-    config = common.effective_config(args)
-    T_tracker_bone = common.read_initial(args.initial)
-    landmarks = common.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
+    config = inputs.effective_config(args)
+    T_tracker_bone = inputs.read_initial(args.initial)
+    landmarks = inputs.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
     recording = read_points(args.points, args.unit)
-    field = common.field_or_refusal(config)
+    field = inputs.field_or_refusal(config)
     loaded = time.perf_counter()
     points = recording.positions
     rejected: dict[str, int] = {}
@@ -59,27 +58,29 @@ def run(args: argparse.Namespace) -> int:
         bone, result = None, RegistrationResult.refused(field.reason, field.message)
     else:
         bone = field
-        result, points, rejected = registered(recording, bone, config, landmarks, T_tracker_bone)
+        result, points, rejected = register_recording(recording, bone, config, landmarks,
+                                                      T_tracker_bone)
     document = result_to_json(
         result, config, frame_id=config.probe.frame_id,
-        model_sha256=bone.bone_sha256 if bone else None,
-        points_sha256=common.sha256_of(args.points), load_s=loaded - started,
-        total_s=time.perf_counter() - started)
-    common.write_json(args.json, document)
-    common.write_report(args.report, result, bone, points, document, {
+        model_sha256=bone.bone_sha256 if bone else None, points_sha256=sha256_of(args.points),
+        load_s=loaded - started, total_s=time.perf_counter() - started)
+    outputs.write_json(args.json, document)
+    outputs.write_report(args.report, result, bone, points, document, {
         'model': args.model, 'points': args.points,
-        'not believed': common.counts_by_cause(rejected) or 'none'})
+        'rejected points': counts_by_cause(rejected) or 'none'})
     print(summary(result, config.probe.frame_id, rejected),
           file=sys.stderr if args.json == '-' else sys.stdout)
     return 0 if result.success else 1
 
 
-def registered(recording: Recording, field: Field, config: Config, landmarks: LandmarkPairs | None,
-               T_tracker_bone: Array | None) -> tuple[RegistrationResult, Array, dict[str, int]]:
+def register_recording(
+        recording: Recording, field: Field, config: Config, landmarks: LandmarkPairs | None,
+        T_tracker_bone: Array | None) -> tuple[RegistrationResult, Array, dict[str, int]]:
     """
-    Register the points of a file: with stamps as the node would have, without them as they are.
+    Register the points of a file: through a session, as in the node, if they have stamps.
 
-    Also return the points the result speaks of, and how many were not believed, by cause.
+    Return also the points that were registered, (n, 3) m, and the number of rejected points by
+    cause.
     """
     import numpy as np
 
@@ -93,7 +94,7 @@ def registered(recording: Recording, field: Field, config: Config, landmarks: La
         result = register(points, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone)
         return (dataclasses.replace(result, received=len(recording)), points,
                 {str(Rejection.NOT_FINITE): int((~finite).sum())})
-    # a file of points names no frame
+    # files of points do not name a frame
     recording.frame_ids = [config.probe.frame_id] * len(recording)
     result, session = replay(recording, field, config, landmarks, T_tracker_bone)
     return result, session.points().positions, session.status().rejected

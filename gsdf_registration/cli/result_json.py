@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A result as JSON, "gsdf-registration/1": every key is there, null where nothing is known; SI."""
+"""A result as JSON, schema "gsdf-registration/1": every key, null for unknown values; SI units."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 from gsdf_registration import __version__
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import RegistrationResult, WeakestDirection
 from gsdf_registration.common.rigid import quaternion_from_rotation
-from gsdf_registration.session.record import plain
 
 SCHEMA = 'gsdf-registration/1'
 
@@ -18,19 +18,19 @@ def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str 
                    model_sha256: str | None = None, points_sha256: str | None = None,
                    load_s: float | None = None, total_s: float | None = None) -> dict[str, Any]:
     """
-    Return the document of one registration.
+    Return the JSON document of one registration.
 
     Parameters
     ----------
     result : RegistrationResult
     config : Config
-        The settings it was made with.
+        The settings of the registration.
     frame_id : str
-        Frame of the points, in which the bone's pose is given; empty: not known.
+        Frame of the points and of the pose; empty: not known.
     model_sha256, points_sha256 : str, optional
-        What was registered.
+        Hashes of the inputs.
     load_s, total_s : float, optional
-        Time to load model and points, and all together, s.
+        Time to load model and points, and total time, s.
 
     """
     document = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`gsdf simulate`: a probe dragged over a bone, recorded as a bag with its truth beside it."""
+"""``gsdf simulate``: record a simulated probe on a bone as a bag, with its ground truth."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.command_line import example, number, whole_number
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
@@ -16,42 +17,39 @@ if TYPE_CHECKING:
     from gsdf_registration.simulation.interference import Interference
     from gsdf_registration.simulation.moving import Sway
     from gsdf_registration.simulation.patch import Patch
-    from gsdf_registration.simulation.probe import Drag, Tracker
+    from gsdf_registration.simulation.probe import SimulatedRecording, Tracker
 
 REGIONS = ('acetabulum', 'proximal_femur', 'condyles', 'proximal_tibia')
 STRUCTURED = ('soft_tissue', 'lift_off', 'other_object', 'resting')
 Number = TypeVar('Number', int, float)
-START = 1_750_000_000.0     # s; stamps like those of a clock, the same in every run
-RESOLUTION = 1e-5           # m; trackers report hundredths of a millimetre
-# what the truth says of how it was made
+START = 1_750_000_000.0     # s; a plausible clock time, the same for every recording
+RESOLUTION = 1e-5           # m, of the positions that trackers report
+# options that the ground truth records
 ABOUT = ('region', 'points', 'rate', 'speed', 'sigma', 'distortion', 'outliers', 'interference',
          'dropouts', 'seed')
 # the array that moves with the patient
 ARRAY_TOPIC, ARRAY_FRAME, ARRAY_RATE = '/reference/pose', 'reference_array', 80.0   # Hz
-EXAMPLE = """\
-examples:
-  gsdf simulate hip.ply --region acetabulum --points 600 --outliers 0.05 -o hip_run
-  gsdf simulate femur.ply --region=-25,0,20,38 --rate 40 --sigma 0.4 -o femur_run
-  gsdf simulate hip.ply --region acetabulum --move 20,10 -o moving_run
-"""
+EXAMPLES = (
+    'gsdf simulate hip.ply --region acetabulum --points 600 --outliers 0.05 -o hip_bag',
+    'gsdf simulate femur.ply --region=-25,0,20,38 --rate 40 --sigma 0.4 -o femur_bag',
+    'gsdf simulate hip.ply --region acetabulum --move 20,10 -o moving_bag',
+)
 
 
 def add_parser(subparsers: Any) -> None:
-    """Declare the subcommand."""
+    """Add the subcommand."""
     parser = subparsers.add_parser(
-        'simulate',
-        help='record a simulated probe run over a bone, with its ground truth',
-        description=
-        'Drag a probe over a bone and record it as a rosbag2 (mcap), with the ground truth in a '
-        'YAML of the same name. The same arguments give the same bytes.',
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('model', help='mesh of the bone (STL, PLY, OBJ, OFF)')
+        'simulate', help='record a simulated probe on a bone, with its ground truth',
+        description='Simulate a probe that is dragged over a bone. The recording is a rosbag2 '
+        '(mcap), the ground truth a YAML file of the same name. The same arguments give the same '
+        'bytes.',
+        **example(*EXAMPLES))
+    parser.add_argument('model', metavar='MODEL', help='mesh of the bone (STL, PLY, OBJ, OFF)')
     parser.add_argument(
         '--region',
         required=True,
         metavar='NAME|X,Y,Z,RADIUS',
-        help=f'what the wound exposes: {", ".join(REGIONS)}, or a ball in units of the model')
+        help=f'the exposed area: {", ".join(REGIONS)}, or a ball in units of the model')
     parser.add_argument('-o',
                         '--output',
                         required=True,
@@ -60,63 +58,71 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--model-unit',
                         choices=('mm', 'm'),
                         default='mm',
-                        help='(default: %(default)s)')
+                        help='unit of the lengths in MODEL (default: %(default)s)')
     parser.add_argument(
         '--points',
-        type=int,
+        type=whole_number,
         default=600,
         metavar='N',
-        help='samples on the bone; interference comes on top (default: %(default)s)')
+        help='samples on the bone, without interference (default: %(default)s)')
     parser.add_argument('--rate',
-                        type=float,
+                        type=number,
                         default=80.0,
                         metavar='HZ',
-                        help='(default: %(default)s)')
-    parser.add_argument('--speed', type=float, default=27.0, metavar='MM/S',
+                        help='sampling rate of the tracker (default: %(default)s)')
+    parser.add_argument('--speed', type=number, default=27.0, metavar='MM/S',
                         help='median speed of the tip (default: %(default)s)')
     parser.add_argument('--sigma', default='0.15', metavar='MM|X,Y,Z',
                         help='noise per axis of the tracker (default: %(default)s)')
     parser.add_argument(
         '--distortion',
-        type=float,
+        type=number,
         default=0.0,
         metavar='MM',
-        help='smooth distortion, as of an electromagnetic field, RMS (default: none)')
+        help='smooth distortion (RMS), as of an electromagnetic tracker (default: none)')
     parser.add_argument(
         '--outliers',
-        type=float,
+        type=number,
         default=0.0,
         metavar='SHARE',
-        help="share of all samples that lie anywhere in the model's box (default: none)")
+        help='share of outliers, uniform in the bounding box of the model (default: none)')
     parser.add_argument('--interference', default='', metavar='KIND:SHARE,...',
-                        help='soft_tissue, lift_off, other_object, resting, each with its share')
+                        help='share of each kind: soft_tissue, lift_off, other_object, resting')
     parser.add_argument(
         '--dropouts',
-        type=float,
+        type=number,
         default=0.0,
         metavar='SHARE',
-        help='share of the samples on the bone that the tracker misses (default: none)')
+        help='share of the samples on the bone that the tracker does not report '
+        '(default: none)')
     parser.add_argument(
         '--landmark',
         action='append',
         default=[],
         metavar='NAME=X,Y,Z',
-        help='a model point to be touched first, missed by 2 to 4 mm; may be repeated')
+        help='a model point that is touched first, with an error of 2 to 4 mm; may be repeated')
     parser.add_argument(
         '--move', default='', metavar='MM/S,DEG/S',
-        help='the patient moves and turns so fast, with a reference array whose poses are on '
-        f'{ARRAY_TOPIC} and in whose frame the truth is told (default: still, without array)')
-    parser.add_argument('--frame-id', default='tracker', help='(default: %(default)s)')
-    parser.add_argument('--seed', type=int, default=0, help='(default: %(default)s)')
+        help='speed at which the patient moves and turns; adds a reference array with poses on '
+        f'{ARRAY_TOPIC}, and the ground truth is in its frame (default: no motion, no array)')
+    parser.add_argument('--frame-id', default='tracker', metavar='FRAME',
+                        help='frame of the points (default: %(default)s)')
+    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
+                        help='of the random numbers (default: %(default)s)')
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate, write bag and truth, say so in one line; `InputError` for what cannot be."""
+    """Simulate, write bag and ground truth, print a summary."""
     import numpy as np
 
     from gsdf_registration.common.rigid import inverse, transform
-    from gsdf_registration.simulation.probe import Hand, drag, random_pose, rest
+    from gsdf_registration.simulation.probe import (
+        Hand,
+        random_pose,
+        simulate_landmarks,
+        simulate_scan,
+    )
     from msg_adapters.truth import Truth, truth_path, write_truth
 
     patch = _patch(args)
@@ -124,10 +130,11 @@ def run(args: argparse.Namespace) -> int:
     tracker = _tracker(args)
     names, places = _landmarks(args)
     T = random_pose(rng, translation=0.3)
-    T[:3, 3] += np.array([0.0, 0.0, -1.3]) - T[:3, :3] @ patch.centre   # where cameras see well
+    # in the middle of the tracker's volume
+    T[:3, 3] += np.array([0.0, 0.0, -1.3]) - T[:3, :3] @ patch.centre
     settings: dict[str, Any] = {'tracker': tracker, 'T_tracker_bone': T}
-    touched = rest(places, rng, **settings)
-    run_ = drag(patch,
+    touched = simulate_landmarks(places, rng, **settings)
+    recording = simulate_scan(patch,
                 _at_least(30, args.points, '--points'),
                 rng,
                 interference=_interference(args),
@@ -137,25 +144,25 @@ def run(args: argparse.Namespace) -> int:
                       for k in range(len(names))]).reshape(-1, 3)
     about = {option: getattr(args, option) for option in ABOUT}
     frame_id, sway = args.frame_id, _sway(args, transform(T, patch.centre))
-    _write_bag(args, touched, run_, sway)
+    _write_bag(args, touched, recording, sway)
     if sway is not None:
         about['move'], frame_id = args.move, ARRAY_FRAME
         T_array_tracker = inverse(sway.T_tracker_body)
         T, means = T_array_tracker @ T, transform(T_array_tracker, means)
-    about['outlier_share'] = round(1.0 - float(run_.on_bone.mean()), 4)
+    about['outlier_share'] = round(1.0 - float(recording.on_bone.mean()), 4)
     write_truth(
         truth_path(args.output),
         Truth(_relative(args.model, args.output), args.model_unit, frame_id, T, tuple(names),
               places.round(7), means.round(7), about))
-    print(
-        f'{args.output}: {len(run_.stamps)} points in {run_.stamps[-1]:.1f} s, '
-        f'{int(run_.on_bone.sum())} of them on the bone, {counted(len(names), "landmark")}; '
-        f'truth in {truth_path(args.output)}')
+    print(f'{args.output}: {len(recording.stamps)} points in {recording.stamps[-1]:.1f} s, '
+          f'{int(recording.on_bone.sum())} of them on the bone, '
+          f'{format_count(len(names), "landmark")}; ground truth in {truth_path(args.output)}')
     return 0
 
 
-def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag, sway: Sway | None) -> None:
-    """Write the landmarks, then the run, and where the reference array was meanwhile."""
+def _write_bag(args: argparse.Namespace, touched: SimulatedRecording,
+               recording: SimulatedRecording, sway: Sway | None) -> None:
+    """Write the landmarks, then the points, and the poses of the reference array."""
     import numpy as np
 
     from gsdf_registration.common.rigid import inverse, transform
@@ -164,7 +171,7 @@ def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag, sway: Sway |
 
     with BagWriter(args.output) as bag:
         start = START
-        for topic, part in ((LANDMARK_TOPIC, touched), (TIP_TOPIC, run_)):
+        for topic, part in ((LANDMARK_TOPIC, touched), (TIP_TOPIC, recording)):
             for since, position in zip(part.stamps, part.positions):
                 stamp = round(start + float(since), 6)
                 if sway is not None:
@@ -178,8 +185,8 @@ def _write_bag(args: argparse.Namespace, touched: Drag, run_: Drag, sway: Sway |
                 bag.write_pose(ARRAY_TOPIC, stamp, sway.pose(stamp - START), args.frame_id)
 
 
-def _sway(args: argparse.Namespace, wound: Array) -> Sway | None:
-    """Return how an array 0.1 m beside the wound (3,), m, moves; None if there is none."""
+def _sway(args: argparse.Namespace, incision: Array) -> Sway | None:
+    """Return the motion of an array 0.1 m from the incision (3,), m; None without an array."""
     import numpy as np
 
     from gsdf_registration.common.rigid import from_rt
@@ -189,29 +196,29 @@ def _sway(args: argparse.Namespace, wound: Array) -> Sway | None:
         return None
     speed, turn = _numbers(args.move, 2, '--move')
     if min(speed, turn) < 0.0:
-        raise InputError(f'--move must not be negative, not "{args.move}"')
-    return Sway(from_rt(np.eye(3), wound + [0.1, 0.0, 0.0]), speed * 1e-3, np.radians(turn))
+        raise InputError(f'--move must not be negative: "{args.move}"')
+    return Sway(from_rt(np.eye(3), incision + [0.1, 0.0, 0.0]), speed * 1e-3, np.radians(turn))
 
 
 def _relative(model: str, output: str) -> str:
-    """Return the model's path as seen from the truth's directory."""
+    """Return the path of the model relative to the directory of the ground truth."""
     return os.path.relpath(Path(model).resolve(), Path(output).resolve().parent)
 
 
 def _patch(args: argparse.Namespace) -> Patch:
-    """Return what the wound exposes."""
+    """Return the exposed area."""
     from gsdf_registration.mesh.bone import make_bone
     from gsdf_registration.simulation.patch import exposed_patch
     from gsdf_registration.simulation.regions import named_patch
-    from msg_adapters.files import metres_per
+    from msg_adapters.files import unit_scale
     from msg_adapters.points import read_model
 
     bone = make_bone(*read_model(args.model, args.model_unit))
     if bone.faces is None:
-        raise InputError(f'{args.model} is a point cloud; a probe is dragged over a mesh')
+        raise InputError(f'{args.model} is a point cloud; give a mesh')
     if ',' not in args.region:
         return named_patch(args.region, bone.vertices, bone.faces)
-    x, y, z, radius = _numbers(args.region, 4, '--region') * metres_per(args.model_unit)
+    x, y, z, radius = _numbers(args.region, 4, '--region') * unit_scale(args.model_unit)
     return exposed_patch(bone.vertices, bone.faces, (x, y, z), radius)
 
 
@@ -236,7 +243,7 @@ def _interference(args: argparse.Namespace) -> Interference:
         kind, _, share = word.partition(':')
         if kind not in STRUCTURED:
             raise InputError(
-                f'--interference: "{kind}" is not known; say one of {", ".join(STRUCTURED)}')
+                f'--interference: "{kind}" is not known; choose one of {", ".join(STRUCTURED)}')
         shares[kind] = float(_numbers(share, 1, f'--interference {kind}')[0])
     return Interference(**shares)
 
@@ -245,15 +252,15 @@ def _landmarks(args: argparse.Namespace) -> tuple[list[str], Array]:
     """Return names and positions (k, 3), m, bone frame."""
     import numpy as np
 
-    from msg_adapters.files import metres_per
+    from msg_adapters.files import unit_scale
 
     pairs = [word.partition('=') for word in args.landmark]
     places = [_numbers(place, 3, f'--landmark {name}') for name, _, place in pairs]
-    return [name for name, _, _ in pairs], np.reshape(places, (-1, 3)) * metres_per(args.model_unit)
+    return [name for name, _, _ in pairs], np.reshape(places, (-1, 3)) * unit_scale(args.model_unit)
 
 
 def _numbers(text: str, count: int, option: str) -> Array:
-    """Return ``count`` numbers between commas, or raise InputError."""
+    """Return ``count`` numbers separated by commas, or raise `InputError`."""
     import numpy as np
 
     try:
@@ -262,7 +269,7 @@ def _numbers(text: str, count: int, option: str) -> Array:
         numbers = np.zeros(0)
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise InputError(
-            f'{option} must be {counted(count, "number")} between commas, not "{text}"')
+            f'{option} must be {format_count(count, "number")} separated by commas, not "{text}"')
     return numbers
 
 

@@ -1,48 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A result in a few readable lines; the residual is not among them: it is not the accuracy."""
+"""
+A result in a few readable lines.
+
+The residual is not shown, because it is no measure of the accuracy (Fitzpatrick 2009).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gsdf_registration.cli.common import counts_by_cause
 from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.common.rigid import Array, angle_between, displacement
 from gsdf_registration.field import Field
 
+Row = tuple[str, str]       # name, value
 
-def summary(result: RegistrationResult,
-            frame_id: str = '',
-            rejected: Mapping[str, int] | None = None) -> str:
+
+def summary(result: RegistrationResult, frame_id: str = '',
+            rejected: Mapping[str, int] | None = None, more: Sequence[Row] = ()) -> str:
     """
-    Return the outcome: what was decided, where the bone is, how well that is known.
+    Return the outcome, the pose and its expected accuracy as text.
 
-    ``rejected`` holds the points that were not believed, by cause.
+    Parameters
+    ----------
+    result : of a registration
+    frame_id : frame of the points; empty: not known
+    rejected : number of rejected points by cause
+    more : rows to add
+
     """
     counts = counts_by_cause(rejected or {})
-    rows = [('not believed', counts)] if counts else []
+    points = [('points', f'{result.received} received, {result.used} used, '
+               f'{result.inliers} inliers')] if result.received else []
+    points += [('rejected', counts)] if counts else []
     T = result.T_tracker_bone
     if T is None:
-        return _table(f'refused ({result.reason}): {result.message}', rows)
+        return _table(f'refused ({result.reason}): {result.message}', [*points, *more])
+    frame = f' in frame "{frame_id}"' if frame_id else ''
+    angles = Rotation.from_matrix(T[:3, :3]).as_euler('xyz', degrees=True)
     return _table(f'registered: {result.message}', [
-        ('position', _numbers(1e3 * T[:3, 3]) + ' mm' +
-         (f' in frame "{frame_id}"' if frame_id else '')),
-        ('rotation', _numbers(Rotation.from_matrix(T[:3, :3]).as_euler('xyz', degrees=True))
-         + ' deg about the fixed axes x, y, z'),
-        ('points', f'{result.received} received, {result.used} used, {result.inliers} inliers'),
-        *rows,
-        ('predicted TRE', _tre(result)),
-    ])
+        ('position', f'{_numbers(1e3 * T[:3, 3])} mm{frame}'),
+        ('rotation', f'{_numbers(angles)} deg about the fixed axes x, y, z'),
+        *points, ('predicted TRE', _predicted_tre(result)), *more])
+
+
+def counts_by_cause(rejected: Mapping[str, int]) -> str:
+    """Return the counts that are not zero, with their causes, as text."""
+    return ', '.join(f'{count} {cause.replace("_", " ")}'
+                     for cause, count in rejected.items() if count)
 
 
 def true_error(result: RegistrationResult, field: Field, truth: Array) -> str:
     """
-    Return how far the pose is from the true one, in one line.
+    Return the error of the pose as text: TRE over the surface of the bone, and rotation.
 
-    TRE over the whole surface of the bone.
+    Parameters
+    ----------
+    result, field : the registration and the bone
+    truth : (4, 4) m, the true T_tracker_bone
+
     """
     T = result.T_tracker_bone
     if T is None:
@@ -51,11 +70,11 @@ def true_error(result: RegistrationResult, field: Field, truth: Array) -> str:
     tre = 1e3 * displacement(T, truth, points)
     angle = np.degrees(angle_between(T[:3, :3], truth[:3, :3]))
     rms = np.sqrt(np.mean(tre**2))
-    return (f'TRE over the bone {rms:.2f} mm RMS, {tre.max():.2f} mm at most; '
+    return (f'TRE over the bone {rms:.2f} mm RMS, {tre.max():.2f} mm maximum; '
             f'rotation {angle:.2f} deg')
 
 
-def _table(title: str, rows: list[tuple[str, str]]) -> str:
+def _table(title: str, rows: Sequence[Row]) -> str:
     return '\n'.join([title, *(f'  {name:<14} {value}' for name, value in rows)])
 
 
@@ -63,6 +82,10 @@ def _numbers(values: Array) -> str:
     return '  '.join(f'{value:.2f}' for value in values)
 
 
-def _tre(result: RegistrationResult) -> str:
+def _predicted_tre(result: RegistrationResult) -> str:
     known = {name: value for name, value in result.predicted_tre_m.items() if value is not None}
-    return ', '.join(f'{name} {1e3 * value:.2f} mm' for name, value in known.items()) or 'not known'
+    return ', '.join(f'{name} {_millimetres(tre)}' for name, tre in known.items()) or 'not known'
+
+
+def _millimetres(metres: float) -> str:
+    return f'{1e3 * metres:.2f} mm' if metres >= 5e-6 else '< 0.01 mm'

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A client of the node, for the demonstration and the tests.
+A client of the node, for the demo, the benchmarks and the tests.
 
-Calls its services and hears what it says.
+It calls the services of the node and receives its messages.
 """
 
 from __future__ import annotations
@@ -12,31 +12,39 @@ import math
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import rclpy
 from lifecycle_msgs.srv import GetState
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.node.qos import LATCHED
-from gsdf_registration.session.landmark_capture import Answer
 
-AGAIN = 2.0         # s without an answer after which a question that does no harm is asked again
-NUMBERS = itertools.count(1)      # two nodes of one name in a process would share their log
+# of the poses, status, points and markers of the node: late joiners receive the last message
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+                     durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RETRY_PERIOD = 2.0              # s without a response, after which a harmless request is repeated
+NUMBERS = itertools.count(1)    # two nodes of one name in a process would share their logger
+
+
+class Answer(NamedTuple):
+    """The response of a service: whether it succeeded, and one sentence."""
+
+    success: bool
+    message: str
 
 
 class Operator:
     """
-    A participant of its own: one made after a registration is a late joiner.
+    A client with its own ROS context; one created after a registration is a late joiner.
 
-    Every call waits for what it asks for, and raises `InputError` when that takes longer than
-    ``patience`` seconds, or ``alive`` says that the node has ended.
+    Every call waits for its response. It raises `InputError` when that takes longer than
+    ``patience`` seconds, or when ``alive`` returns False because the node has exited.
     """
 
     def __init__(self, node: str = '/registration', patience: float = 10.0,
@@ -57,7 +65,7 @@ class Operator:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        """Leave the domain."""
+        """Shut down the node and its context."""
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
@@ -74,17 +82,17 @@ class Operator:
         """
         Return the lifecycle state of the node.
 
-        It is asked for again and again: the answer is lost if the node does not know of us yet.
+        The request is repeated: the response is lost if the node has not discovered us yet.
         """
         future, asked = None, -math.inf
 
         def answered() -> bool:
             nonlocal future, asked
-            if time.monotonic() - asked > AGAIN:
+            if time.monotonic() - asked > RETRY_PERIOD:
                 future = self.start(GetState, 'get_state', GetState.Request())
                 asked = time.monotonic()
             return bool(future and future.done())
-        self.spin_until(answered, 'the state was not told')
+        self.spin_until(answered, 'the node did not report its state')
         assert future is not None
         return str(future.result().current_state.label)
 
@@ -94,41 +102,45 @@ class Operator:
         if client is None:
             client = self._clients[service] = self.node.create_client(kind,
                                                                       f'{self._target}/{service}')
-        self.spin_until(client.service_is_ready, f'{service} is not served')
+        self.spin_until(client.service_is_ready, f'the service {service} is not available')
         return client.call_async(request)
 
     def result(self, future: Any) -> Any:
         """Return the response of a request sent by `start`."""
-        self.spin_until(future.done, 'no answer came')
+        self.spin_until(future.done, 'the node did not respond')
         return future.result()
 
     def _answer(self, future: Any) -> Answer:
         response = self.result(future)
         return Answer(response.success, response.message)
 
-    def hear(self, kind: Any, topic: str, qos: QoSProfile | int = LATCHED,
-             accept: Callable[[Any], bool] = lambda _: True) -> Any:
-        """Return the first message on ``topic`` that is accepted; ``~/`` is the node."""
-        heard: list[Any] = []
+    def receive(self, kind: Any, topic: str, qos: QoSProfile | int = LATCHED,
+                accept: Callable[[Any], bool] = lambda _: True) -> Any:
+        """Return the first accepted message on ``topic``; ``~`` stands for the node's name."""
+        received: list[Any] = []
 
-        def listen(message: Any) -> None:
+        def on_message(message: Any) -> None:
             if accept(message):
-                heard.append(message)
+                received.append(message)
 
-        subscription = self.node.create_subscription(kind, topic.replace('~', self._target), listen,
-                                                     qos)
+        subscription = self.node.create_subscription(kind, topic.replace('~', self._target),
+                                                     on_message, qos)
         try:
-            self.spin_until(lambda: bool(heard), f'nothing that fits was heard on {topic}')
+            self.spin_until(lambda: bool(received), f'no matching message arrived on {topic}')
         finally:
             self.node.destroy_subscription(subscription)
-        return heard[0]
+        return received[0]
 
     def spin_until(self, condition: Callable[[], bool], complaint: str) -> None:
-        """Let messages in until ``condition`` holds, looked at 50 times a second at least."""
+        """
+        Process messages until ``condition`` holds; it is checked at least 50 times a second.
+
+        ``complaint`` says what did not happen, for the error message.
+        """
         deadline = time.monotonic() + self.patience
         while not condition():
             if not self._alive():
-                raise InputError('the node has ended')
+                raise InputError('the node has exited')
             if time.monotonic() > deadline:
                 raise InputError(f'{complaint} within {self.patience:g} s')
             self._executor.spin_once(timeout_sec=0.02)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Plays the points of a recording over ROS, for the demonstration and the tests.
+Play the points of a recording over ROS, for the demo and the tests.
 
-Run it as ``python -m gsdf_registration.clients.player BAG --topic /probe/tip``.  Stamps stay those of
-the recording, as with ``ros2 bag play``; messages go out as they lie in the bag.
+Run it as ``python -m gsdf_registration.clients.player BAG --topic /probe/tip``.  As with
+``ros2 bag play``, the messages are published unchanged, with the stamps of the recording.
 """
 
 from __future__ import annotations
@@ -21,23 +21,26 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 
-from gsdf_registration.common.formatting import counted
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from msg_adapters.bag import POINT
 from msg_adapters.bag_storage import BagFiles
 from msg_adapters.ros import stamp_to_seconds
 
-PATIENCE = 10.0     # s to wait for a listener
+PATIENCE = 10.0     # s to wait for a subscriber
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Play and say how much was played; 2 if the bag cannot be read or nobody listens."""
+    """Play, print how much was played; return 2 if the bag is unreadable or has no subscriber."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('bag')
-    parser.add_argument('--topic', required=True, help='topic of the bag')
-    parser.add_argument('--as', dest='topic_out', default='', help='topic to publish on instead')
-    parser.add_argument('--rate', type=float, default=1.0, help='times as fast as recorded')
-    parser.add_argument('--best-effort', action='store_true', help='publish as most trackers do')
+    parser.add_argument('--topic', required=True, help='topic of the bag to play')
+    parser.add_argument('--as', dest='topic_out', default='',
+                        help='topic to publish on (default: the topic of the bag)')
+    parser.add_argument('--rate', type=float, default=1.0,
+                        help='speed relative to the recording (default: 1)')
+    parser.add_argument('--best-effort', action='store_true',
+                        help='publish with best effort, as most trackers do')
     options = parser.parse_args(args)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -56,29 +59,29 @@ def _play(options: argparse.Namespace) -> int:
         raw.data for raw in BagFiles(options.bag).messages([options.topic]) if raw.msgtype == POINT
     ]
     if not messages:
-        raise InputError(f'{options.bag} has no points on {options.topic}')
+        raise InputError(f'{options.bag} contains no points on {options.topic}')
     reliability = (ReliabilityPolicy.BEST_EFFORT
                    if options.best_effort else ReliabilityPolicy.RELIABLE)
     qos = QoSProfile(depth=len(messages), reliability=reliability)
     publisher = Node('player').create_publisher(PointStamped, options.topic_out or options.topic,
                                                 qos)
-    _wait_for_listener(publisher)
+    _wait_for_subscriber(publisher)
     start, first = time.monotonic(), _stamp(messages[0])
     for message in messages:
         due = start + (_stamp(message) - first) / options.rate
         time.sleep(max(0.0, due - time.monotonic()))
         publisher.publish(message)
-    print(f'played {counted(len(messages), "point")}', flush=True)
+    print(f'played {format_count(len(messages), "point")}', flush=True)
     return 0
 
 
-def _wait_for_listener(publisher: Publisher) -> None:
+def _wait_for_subscriber(publisher: Publisher) -> None:
     deadline = time.monotonic() + PATIENCE
     while publisher.get_subscription_count() == 0:
         if time.monotonic() > deadline:
-            raise InputError(f'nobody listens to {publisher.topic_name}')
+            raise InputError(f'no node subscribes to {publisher.topic_name}')
         time.sleep(0.02)
-    time.sleep(0.2)     # the other side learns of the match a little later than we do
+    time.sleep(0.2)     # the subscriber discovers the publisher a little later
 
 
 def _stamp(message: bytes) -> float:

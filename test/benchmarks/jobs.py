@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work for other processes: functions that a test hands to the runner."""
+"""Functions that the tests of the runner execute in other processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def squared(number: int) -> dict[str, int]:
 
 
 def noted(job: tuple[Path, int]) -> dict[str, int]:
-    """Leave a file for each call."""
+    """Write a file for each call."""
     folder, number = job
     (folder / f'{number}-{os.getpid()}-{threading.get_ident()}').touch()
     return {'number': number}
@@ -23,7 +23,7 @@ def noted(job: tuple[Path, int]) -> dict[str, int]:
 
 def fails_at_three(number: int) -> dict[str, int]:
     if number == 3:
-        raise InputError('three is not to be had')
+        raise InputError('three is not allowed')
     return {'number': number}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`gsdf bench guided`: strokes go where they should, and points needed are counted right."""
+"""``python -m benchmarks guided``: the strokes, the number of points needed, the tables."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.cases import Case, bone, region_patch
-from benchmarks.guided import STEP, WAYS, Collection, attempt, collections, stroke
-from benchmarks.guided_tables import needed, page, table
-from gsdf_registration.cli.main import main
+from benchmarks.__main__ import main
+from benchmarks.guided.collection import (
+    STEP,
+    STRATEGIES,
+    Collection,
+    collections,
+    run_collection,
+    stroke,
+)
+from benchmarks.guided.tables import needed, page, table
+from benchmarks.protocol.cases import Case, bone, region_patch
 from gsdf_registration.common.config import Config
 
 
-def test_a_stroke_lies_over_its_place_on_what_is_exposed(femur_bone: Path) -> None:
+def test_stroke_is_over_its_place_on_the_exposed_area(femur_bone: Path) -> None:
     patch = region_patch(str(femur_bone), 'condyles')
     place = patch.centre
     tips = stroke(patch, place, 30, np.random.default_rng(0))
@@ -31,12 +38,12 @@ def test_a_stroke_lies_over_its_place_on_what_is_exposed(femur_bone: Path) -> No
     assert ends.max() < 15.5 * STEP + away
 
 
-def run(bone_file: Path, way: str) -> dict[str, Any]:
-    return attempt(Collection(Case(str(bone_file), 'condyles'), way, 1, 3, 30, 1e-3),
-                   Config().replaced({'search.threads': 1}))
+def run(bone_file: Path, strategy: str) -> dict[str, Any]:
+    return run_collection(Collection(Case(str(bone_file), 'condyles'), strategy, 1, 3, 30, 1e-3),
+                          Config().replaced({'search.threads': 1}))
 
 
-def test_both_ways_begin_alike_and_guidance_gets_there_sooner(femur_bone: Path) -> None:
+def test_guidance_reduces_the_error_faster(femur_bone: Path) -> None:
     random, guided = run(femur_bone, 'random'), run(femur_bone, 'guided_bone')
     assert list(random) == list(guided)
     assert random['points'] == guided['points'] == [120, 150, 180, 210]
@@ -46,35 +53,36 @@ def test_both_ways_begin_alike_and_guidance_gets_there_sooner(femur_bone: Path) 
     assert 0.0 < guided['true_near_m'][-1] < 0.002
 
 
-def test_runs_of_all_cases_come_early(femur_bone: Path) -> None:
+def test_runs_alternate_between_cases(femur_bone: Path) -> None:
     cases = [Case(str(femur_bone), region) for region in ('condyles', 'proximal_femur')]
     runs = list(collections(cases, 3, 7, 5, 30, 1e-3))
     assert [run.name for run in runs[:4]] == [
-        *(f'femur/condyles/{way}/7' for way in WAYS), 'femur/proximal_femur/random/7']
-    assert len({run.name for run in runs}) == 3 * len(WAYS) and runs[-1].seed == 8
+        *(f'femur/condyles/{strategy}/7' for strategy in STRATEGIES),
+        'femur/proximal_femur/random/7']
+    assert len({run.name for run in runs}) == 3 * len(STRATEGIES) and runs[-1].seed == 8
 
 
 def rows() -> list[dict[str, Any]]:
-    def row(way: str, seed: int, predicted: list[float | None],
+    def row(strategy: str, seed: int, predicted: list[float | None],
             true: list[float]) -> dict[str, Any]:
-        return {'case': 'femur/condyles', 'way': way, 'seed': seed, 'points': [100, 130, 160],
-                'ambiguous': [False, way == 'guided', False],
+        return {'case': 'femur/condyles', 'strategy': strategy, 'seed': seed,
+                'points': [100, 130, 160], 'ambiguous': [False, strategy == 'guided', False],
                 **{f'predicted_{goal}_m': predicted for goal in ('near', 'bone')},
                 **{f'true_{goal}_m': true for goal in ('near', 'bone')}}
     return [row('random', 0, [0.003, 0.002, 0.0009], [0.004, 0.002, 0.0005]),
             row('guided', 0, [0.003, 0.0008, 0.0007], [0.004, 0.0005, 0.0005]),
             row('random', 1, [None, 0.002, 0.0015], [0.004, 0.002, 0.0005]),
             row('guided', 1, [None, 0.002, 0.0008], [0.004, 0.0005, 0.0005]),
-            row('guided', 2, [0.0001] * 3, [0.1] * 3)]     # there is none at random to compare with
+            row('guided', 2, [0.0001] * 3, [0.1] * 3)]     # without a random run to compare with
 
 
-def test_points_needed_are_counted() -> None:
+def test_counts_the_points_needed() -> None:
     found = needed(rows(), 'near', 0.001)
     assert found.runs == 2
     assert found.predicted == (160.0, 145.0) and found.paired == (1, 1, 0)
-    assert found.sure == (160.0, 160.0) and found.never == (1, 0)
+    assert found.unambiguous == (160.0, 160.0) and found.never == (1, 0)
     assert found.error == pytest.approx((0.0005, 0.0005))
-    # from 2 mm to 0.5 mm logarithmically: 1 mm is midway; from 4 mm to 0.5 mm: at two thirds
+    # logarithmic: 1 mm is halfway from 2 mm to 0.5 mm, and at two thirds from 4 mm to 0.5 mm
     assert found.true == pytest.approx((145.0, 120.0))
     assert needed(rows(), 'near', 1e-5).true == (None, None)
     one, everything = table(rows(), 'near', 0.001)
@@ -82,27 +90,28 @@ def test_points_needed_are_counted() -> None:
     assert one[1:6] == ('2', '160', '145', '9 %', '1/1/0') and one[-1] == '17 %'
 
 
-def test_the_curves_are_drawn() -> None:
-    both = [*rows(), *({**row, 'way': 'guided_bone'} for row in rows() if row['way'] == 'guided')]
+def test_draws_the_plots() -> None:
+    both = [*rows(), *({**row, 'strategy': 'guided_bone'} for row in rows()
+                       if row['strategy'] == 'guided')]
     drawn = page(both, 0.001)
     assert drawn.count('guided, true (RMS over runs)') == 2
     assert 'over the whole bone' in drawn and '<!DOCTYPE html>' in drawn
 
 
-def test_runs_are_printed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+def test_prints_and_continues_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                    capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.delenv('GSDF_BONES_DIR', raising=False)
     output, plot = tmp_path / 'guided.tsv', tmp_path / 'guided.html'
-    options = ['bench', 'guided', '--strokes', '2', '-o', str(output)]
+    options = ['guided', '--strokes', '2', '-o', str(output)]
     assert main([*options, '--runs', '1']) == 0
     shown = capsys.readouterr()
     assert shown.err == '' and 'femur/proximal_femur' in shown.out and '\nall  ' in shown.out
     kept = output.read_text()
-    assert len(kept.splitlines()) == 2 + len(WAYS)
+    assert len(kept.splitlines()) == 2 + len(STRATEGIES)
     assert main([*options, '--runs', '1', '--plot', str(plot)]) == 0
     assert output.read_text() == kept and capsys.readouterr().out == shown.out
-    assert 'gsdf bench guided' in plot.read_text()
+    assert 'python -m benchmarks guided' in plot.read_text()
     assert main([*options, '--runs', '1', '--points', '20']) == 2
-    assert 'results of other points' in capsys.readouterr().err
+    assert 'results with other points' in capsys.readouterr().err
     assert main([*options, '--limit', '0']) == 2
-    assert '--limit more than 0' in capsys.readouterr().err
+    assert '--limit must be more than 0' in capsys.readouterr().err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A table survives interruption, and is not continued with something else."""
+"""Tables of rows: appended, continued after an interruption, rejected if inputs differ."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.journal import Journal, source_hash
+from benchmarks.execution.journal import Journal, source_hash
 from gsdf_registration.common.result import InputError
 
 ABOUT = {'seed': 1, 'config': {'search.parts': 3}}
@@ -24,7 +24,7 @@ def table(tmp_path: Path) -> Path:
     return path
 
 
-def test_rows_come_back_as_they_were(table: Path) -> None:
+def test_reads_the_rows_that_were_added(table: Path) -> None:
     rows = Journal(table, ABOUT).rows
     assert rows['first'] == {'job': 'first', **ROW}
     assert rows['second']['x'] == float('inf')
@@ -33,7 +33,7 @@ def test_rows_come_back_as_they_were(table: Path) -> None:
     assert lines[1].split('\t') == ['job', *ROW] and len(lines) == 4
 
 
-def test_every_torn_end_is_cut_off(table: Path) -> None:
+def test_cuts_off_an_incomplete_last_row(table: Path) -> None:
     whole = table.read_bytes()
     last = whole.rstrip(b'\n').rfind(b'\n') + 1
     for end in (last, last + 1, len(whole) - 20, len(whole) - 1):
@@ -44,9 +44,9 @@ def test_every_torn_end_is_cut_off(table: Path) -> None:
         assert table.read_bytes() == whole
 
 
-def test_what_differs_is_named(table: Path) -> None:
+def test_names_the_inputs_that_differ(table: Path) -> None:
     before = table.read_bytes()
-    with pytest.raises(InputError, match='other config; name another file'):
+    with pytest.raises(InputError, match='other config; give another file'):
         Journal(table, {**ABOUT, 'config': {'search.parts': 4}})
     with pytest.raises(InputError, match='other bones, seed'):
         Journal(table, {**ABOUT, 'seed': 2, 'bones': {}})
@@ -54,33 +54,33 @@ def test_what_differs_is_named(table: Path) -> None:
 
 
 @pytest.mark.parametrize('content', [b'x,y,z\n1,2,3\n', b'# {"seed"', b'\xff\xfe\x00', b'# {}'])
-def test_other_files_are_left_alone(tmp_path: Path, content: bytes) -> None:
+def test_rejects_other_files(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / 'other'
     path.write_bytes(content)
-    with pytest.raises(InputError, match='is no table of a benchmark'):
+    with pytest.raises(InputError, match='is not a table of a benchmark'):
         Journal(path, ABOUT)
     assert path.read_bytes() == content
 
 
-def test_a_damaged_row_is_named(table: Path) -> None:
+def test_names_a_damaged_row(table: Path) -> None:
     lines = table.read_text().splitlines()
     lines[2] = lines[2][:-3] + '\t}'
     table.write_text('\n'.join(lines) + '\n')
-    with pytest.raises(InputError, match='line 3: this is no row'):
+    with pytest.raises(InputError, match='line 3: this is not a row'):
         Journal(table, ABOUT)
 
 
-def test_columns_cannot_change(table: Path) -> None:
+def test_rejects_other_columns(table: Path) -> None:
     with pytest.raises(ValueError, match='columns'):
         Journal(table, ABOUT).add('third', {'x': 1.0})
 
 
-def test_an_empty_file_is_begun(tmp_path: Path) -> None:
+def test_writes_to_an_empty_file(tmp_path: Path) -> None:
     path = tmp_path / 'empty.tsv'
     path.touch()
     Journal(path, ABOUT).add('a', ROW)
     assert list(Journal(path, ABOUT).rows) == ['a']
 
 
-def test_the_sources_have_one_hash() -> None:
+def test_hash_of_the_sources_is_stable() -> None:
     assert source_hash() == source_hash() and len(source_hash()) == 64

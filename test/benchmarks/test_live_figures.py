@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`gsdf bench live`: what was heard becomes the right figures."""
+"""``python -m benchmarks live``: latencies and losses from the messages of a run."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.live import read_rates
-from benchmarks.live_figures import (
+from benchmarks.commands.live import read_rates
+from benchmarks.live.figures import (
     COLUMNS,
-    Heard,
+    Measurement,
     latencies,
     line,
     processor_seconds,
@@ -24,34 +24,34 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.result import InputError
 
 
-def heard(ready: float | None = 0.15) -> Heard:
-    # the pose for 0.2 comes late, after the one for 0.3, and tells nothing new
-    return Heard(sent=[0.0, 0.1, 0.2, 0.3, 0.4, 0.5],
+def measurement(ready: float | None = 0.15) -> Measurement:
+    # the pose for 0.2 arrives after the one for 0.3
+    return Measurement(sent=[0.0, 0.1, 0.2, 0.3, 0.4, 0.5],
                  poses=[(0.08, 0.0), (0.11, 0.1), (0.304, 0.3), (0.31, 0.2), (0.402, 0.4 - 2e-7)],
                  received=5, kept=4, cpu=0.1, ready=ready)
 
 
-def test_a_point_is_answered_by_the_first_pose_that_is_no_older() -> None:
-    found, unanswered = latencies(heard())
+def test_latency_ends_at_the_first_pose_with_a_later_stamp() -> None:
+    found, unanswered = latencies(measurement())
     np.testing.assert_allclose(found, [0.104, 0.004, 0.002], atol=1e-9)
     assert unanswered == 1
-    found, unanswered = latencies(heard(ready=None))
+    found, unanswered = latencies(measurement(ready=None))
     np.testing.assert_allclose(found, [0.01, 0.104, 0.004, 0.002], atol=1e-9)
-    nothing, unanswered = latencies(Heard(sent=[0.0, 0.1]))
+    nothing, unanswered = latencies(Measurement(sent=[0.0, 0.1]))
     assert len(nothing) == 0 and unanswered == 2
 
 
-def test_the_line_of_the_table() -> None:
-    cells = dict(zip(COLUMNS, line(heard(), 10.0, 0.00042), strict=True))
+def test_line_of_the_table() -> None:
+    cells = dict(zip(COLUMNS, line(measurement(), 10.0, 0.00042), strict=True))
     assert cells == {
-        'rate Hz': '10', 'sent': '6', 'lost': '1', 'refused': '1', 'unheard': '1', 'poses': '5',
+        'rate Hz': '10', 'sent': '6', 'lost': '1', 'rejected': '1', 'unanswered': '1', 'poses': '5',
         'median': '4.0', 'p95': '94.0', 'p99': '102.0', 'max': '104.0', 'CPU %': '20',
         'first s': '0.1', 'ready s': '0.1', 'TRE mm': '0.42'}
-    silent = dict(zip(COLUMNS, line(Heard(sent=[0.0, 1.0], received=2), 1.0, None)))
+    silent = dict(zip(COLUMNS, line(Measurement(sent=[0.0, 1.0], received=2), 1.0, None)))
     assert silent['p99'] == silent['first s'] == silent['TRE mm'] == '-' and silent['lost'] == '0'
 
 
-def test_a_run_goes_on_all_the_time(femur_bone: Path) -> None:
+def test_simulated_recording_has_no_pauses(femur_bone: Path) -> None:
     run = simulated(str(femur_bone), 'condyles', 80.0, 20.0, 0)
     assert len(run.positions) == pytest.approx(1600, abs=2)
     np.testing.assert_allclose(np.diff(run.stamps), 1.0 / 80.0, atol=1e-9)
@@ -60,14 +60,14 @@ def test_a_run_goes_on_all_the_time(femur_bone: Path) -> None:
     assert 0.6 < run.on_bone.mean() < 0.8 and len(np.unique(run.kinds)) == 2
 
 
-def test_the_true_error_is_over_the_bone(femur_bone: Path) -> None:
+def test_true_error_is_over_the_bone(femur_bone: Path) -> None:
     T = rigid.exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
     assert true_error(T, T, str(femur_bone)) < 1e-9
     off = rigid.from_rt(np.eye(3), [0.0, 0.002, 0.0]) @ T
     assert true_error(off, T, str(femur_bone)) == pytest.approx(0.002)
 
 
-def test_processor_time_is_that_of_the_process() -> None:
+def test_processor_time_of_a_process() -> None:
     before = processor_seconds(os.getpid())
     end = time.process_time() + 0.2
     while time.process_time() < end:
@@ -76,7 +76,7 @@ def test_processor_time_is_that_of_the_process() -> None:
 
 
 @pytest.mark.parametrize('text', ['', 'fast', '80,', '0', '1e9', 'nan'])
-def test_bad_rates_are_refused(text: str) -> None:
+def test_rejects_bad_rates(text: str) -> None:
     with pytest.raises(InputError, match='from 1 to 5000'):
         read_rates(text)
     assert read_rates('80,1000') == [80.0, 1000.0]

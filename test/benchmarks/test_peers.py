@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Peers: environments that are made once, processes that fail in every way, and what they find."""
+"""Peers: their environments, failing processes, and the poses they return."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import paper
+from benchmarks.paper import experiment
 from benchmarks.peers import caller, environment
 from benchmarks.peers.caller import Caller, PeerError
 from benchmarks.peers.environment import Group
@@ -52,7 +52,7 @@ def unfit(model):
 
 @pytest.fixture
 def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Return a function that puts one of the peers above to work."""
+    """Return a function that starts one of the peers above."""
     shutil.copy(caller.WORKERS / 'worker.py', tmp_path)
     (tmp_path / 'stub.py').write_text(STUB)
     np.savez(tmp_path / 'model.npz', offset=np.array([1.0, 2.0, 3.0]))
@@ -67,7 +67,7 @@ def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         peer.close()
 
 
-def test_a_peer_answers_again_and_again(stub) -> None:
+def test_peer_answers_repeatedly(stub) -> None:
     peer = stub('moves')
     for k in range(3):
         motion, seconds = peer(np.full((1000, 3), float(k)), 0.5)
@@ -76,31 +76,31 @@ def test_a_peer_answers_again_and_again(stub) -> None:
     assert peer.alive
 
 
-def test_a_peer_that_raises_can_be_asked_again(stub) -> None:
+def test_peer_answers_again_after_an_exception(stub) -> None:
     peer = stub('raises')
     for _ in range(2):
-        with pytest.raises(PeerError, match='^ValueError: no good$') as told:
+        with pytest.raises(PeerError, match='^ValueError: no good$') as caught:
             peer(np.zeros((3, 3)), 0.5)
-        assert not told.value.timeout
+        assert not caught.value.timeout
     assert peer.alive
 
 
 @pytest.mark.parametrize('peer, limit, why', [('hangs', 0.3, 'no answer within'),
                                               ('dies', 60.0, 'died of signal 11')])
-def test_a_peer_that_ends_without_an_answer(stub, peer: str, limit: float, why: str) -> None:
+def test_reports_a_peer_that_exits_or_times_out(stub, peer: str, limit: float, why: str) -> None:
     gone = stub(peer, limit)
-    with pytest.raises(PeerError, match=why) as told:
+    with pytest.raises(PeerError, match=why) as caught:
         gone(np.zeros((3, 3)), 0.5)
-    assert told.value.timeout == (peer == 'hangs')
+    assert caught.value.timeout == (peer == 'hangs')
     assert not gone.alive
 
 
-def test_a_pose_that_is_not_finite_is_none(stub) -> None:
+def test_rejects_a_pose_that_is_not_finite(stub) -> None:
     with pytest.raises(PeerError, match='no finite pose'):
         stub('diverges')(np.zeros((3, 3)), 0.5)
 
 
-def test_a_peer_that_cannot_prepare_says_why(stub) -> None:
+def test_reports_why_a_peer_cannot_be_prepared(stub) -> None:
     with pytest.raises(PeerError, match='ImportError: no such library'):
         stub('unfit')
 
@@ -119,7 +119,7 @@ def wheel(folder: Path) -> Path:
     return file
 
 
-def test_an_environment_is_made_once_and_tells_what_is_missing(
+def test_environment_is_created_once_and_lists_missing_libraries(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path / 'cache'))
     monkeypatch.setenv('PYTHONPATH', str(tmp_path))
@@ -132,20 +132,20 @@ def test_an_environment_is_made_once_and_tells_what_is_missing(
     found.unlink()
     tiny.unlink()
     again = environment.environment(group)
-    assert again == made and not found.exists()      # or it would have been missed
+    assert again == made and not found.exists()      # it was not installed again
 
 
-def test_without_a_fit_python_all_is_missing() -> None:
+def test_without_a_suitable_python_all_libraries_are_missing() -> None:
     made = environment.environment(Group('test', ('3.1',), (), {'tiny': ('tiny',)}))
     assert made.python is None and made.missing['tiny'].startswith('needs Python 3.1')
 
 
 @pytest.mark.parametrize('library, worker', [('open3d', 'open3d_tukey'),
                                              ('small_gicp', 'small_gicp_plane')])
-def test_icps_find_a_bone_that_is_a_little_off(library: str, worker: str, hip_bone: Path,
-                                               tmp_path: Path) -> None:
+def test_icps_correct_a_small_displacement(library: str, worker: str, hip_bone: Path,
+                                           tmp_path: Path) -> None:
     pytest.importorskip(library)
-    model = paper.model_file(str(hip_bone), tmp_path)
+    model = experiment.model_file(str(hip_bone), tmp_path)
     points = np.load(model)['points'][:1500]
     off = rigid.exp([0.02, -0.03, 0.01, 0.002, 0.001, -0.002])
     peer = Caller(Path(sys.executable), ('icp', worker), model)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials are what their names say, and the same for the same name."""
+"""Trials: their names determine the data, and the data have the requested properties."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.cases import MIRROR, Case, find_cases
-from benchmarks.protocol import (
+from benchmarks.protocol.cases import MIRROR, Case, find_cases
+from benchmarks.protocol.trials import (
     IMPOSSIBLE,
     POSSIBLE,
     SCENARIOS,
@@ -38,12 +38,13 @@ def problem(cases: list[Case], scenario: str, seed: int = 0, region: str = 'acet
     return make(Trial(case, SCENARIOS[scenario], seed, case.bone, **more))  # type: ignore[arg-type]
 
 
-def test_regions_by_name(cases: list[Case]) -> None:
+def test_regions_from_the_file_name(cases: list[Case]) -> None:
     assert [case.name for case in cases] == ['femur/proximal_femur', 'femur/condyles',
                                              'hip/acetabulum']
 
 
-def test_regions_by_shape_and_by_order(hip_bone: Path, femur_bone: Path, tmp_path: Path) -> None:
+def test_regions_from_the_shape_or_as_given(hip_bone: Path, femur_bone: Path,
+                                            tmp_path: Path) -> None:
     for k, bone in enumerate((hip_bone, femur_bone)):
         shutil.copy(bone, tmp_path / f'bone{k}.ply')
     files = sorted(tmp_path.iterdir())
@@ -57,24 +58,25 @@ def test_regions_by_shape_and_by_order(hip_bone: Path, femur_bone: Path, tmp_pat
 @pytest.mark.parametrize('file, person, side', [
     ('vsd_z001_femur_R.ply', 'vsd_z001', '_r'), ('tlem2ct_femur_L.ply', 'tlem2', '_l'),
     ('tlem2mri_femur_R.ply', 'tlem2', '_r'), ('femur.ply', '', '')])
-def test_persons_and_sides(file: str, person: str, side: str) -> None:
+def test_persons_and_sides_from_the_file_name(file: str, person: str, side: str) -> None:
     case = Case(file, 'condyles')
     assert (case.person, case.side, case.kind) == (person, side, 'femur')
 
 
-def test_the_name_says_it_all(cases: list[Case]) -> None:
+def test_the_name_determines_the_data(cases: list[Case]) -> None:
     again, other = problem(cases, 'mixed_40'), problem(cases, 'mixed_40', seed=1)
-    np.testing.assert_array_equal(problem(cases, 'mixed_40').drag.positions, again.drag.positions)
-    assert len(other.drag.positions) != len(again.drag.positions)
+    np.testing.assert_array_equal(problem(cases, 'mixed_40').recording.positions,
+                                  again.recording.positions)
+    assert len(other.recording.positions) != len(again.recording.positions)
     assert again.trial.name == 'hip/acetabulum/mixed_40/0'
     # the same on any machine, in any process
     assert again.trial.random().integers(2**62) == 607888919055342931
 
 
 @pytest.mark.parametrize('name', [n for n, scenario in SCENARIOS.items() if not scenario.hard])
-def test_shares_and_noise_are_as_asked(cases: list[Case], name: str) -> None:
+def test_shares_and_noise_are_as_requested(cases: list[Case], name: str) -> None:
     made = problem(cases, name, region='condyles')
-    run, asked = made.drag, made.trial.scenario
+    run, asked = made.recording, made.trial.scenario
     assert 600 <= (run.kinds == Kind.SURFACE).sum() <= 1000
     for share in fields(asked.interference):
         got = np.mean(run.kinds == Kind[share.name.upper()])
@@ -84,15 +86,15 @@ def test_shares_and_noise_are_as_asked(cases: list[Case], name: str) -> None:
     assert np.abs(made.field.sample(made.touched)[0]).max() < 2e-4
 
 
-def test_poses_are_of_all_attitudes_or_within_an_angle(cases: list[Case]) -> None:
+def test_rotations_are_arbitrary_or_within_an_angle(cases: list[Case]) -> None:
     def turns(angle: float | None) -> list[float]:
         return [rigid.angle_between(np.eye(3), problem(cases, 'clean', seed=k, angle=angle)
-                                    .drag.T_tracker_bone[:3, :3]) for k in range(20)]
+                                    .recording.T_tracker_bone[:3, :3]) for k in range(20)]
     assert max(turns(None)) > np.radians(140.0)
     assert max(turns(np.radians(10.0))) < np.radians(18.0)
 
 
-def test_more_trials_add_to_fewer(cases: list[Case]) -> None:
+def test_more_trials_contain_fewer(cases: list[Case]) -> None:
     def names(n: int, **more: int) -> list[str]:
         return [t.name for t in islice(trials(cases, list(SCENARIOS.values()), **more), n)]
     assert names(500)[:100] == names(100)
@@ -124,27 +126,26 @@ def test_another_scan_of_the_same_bone(femur_bone: Path, femur_surface: tuple[np
         tmp_path / 'ann_mri_femur.ply')
     shutil.copy(femur_bone, tmp_path / 'bob_femur.ply')
     scans = find_cases(sorted(tmp_path.glob('*.ply')), ['condyles'])
-    asked = next(t for t in trials(scans, [SCENARIOS['other_scan']])
-                 if 'ct' in t.case.bone)
-    assert Path(asked.model).name == 'ann_mri_femur.ply'
-    made = make(asked)
-    # the truth is the pose of the model, and there lies what was touched
+    selected = next(t for t in trials(scans, [SCENARIOS['other_scan']]) if 'ct' in t.case.bone)
+    assert Path(selected.model).name == 'ann_mri_femur.ply'
+    made = make(selected)
+    # the ground truth is the pose of the model, and the points are on it
     assert np.abs(made.field.sample(made.touched)[0]).max() < 3e-4
-    back = rigid.transform(rigid.inverse(made.drag.T_tracker_bone), made.drag.positions)
+    back = rigid.transform(rigid.inverse(made.recording.T_tracker_bone), made.recording.positions)
     assert np.sqrt(np.mean(made.field.sample(back)[0] ** 2)) == pytest.approx(5e-4, rel=0.15)
 
 
 def test_cup_only(cases: list[Case]) -> None:
     made = problem(cases, 'cup_only')
     assert 0.02 < np.ptp(made.touched, axis=0).max() < 0.05
-    # all of it in a hollow: outward normals meet, the spread of the points shrinks along them
+    # concave: moved along the outward normals, the points come together
     _, n = made.field.sample(made.touched)
     assert np.trace(np.cov((made.touched + 0.02 * n).T)) < 0.3 * np.trace(np.cov(made.touched.T))
 
 
 def test_shaft_only(cases: list[Case]) -> None:
     made = problem(cases, 'shaft_only', region='proximal_femur')
-    z = made.touched[:, 2]      # the long axis of this femur, which ends at 0 and 0.44 m
+    z = made.touched[:, 2]      # the long axis of this femur, from 0 to 0.44 m
     assert z.min() > 0.1 and z.max() < 0.34
     _, n = made.field.sample(made.touched)
     assert np.abs(n[:, 2]).mean() < 0.15
@@ -163,20 +164,20 @@ def test_mirror_images(cases: list[Case]) -> None:
 def test_objects_and_noise(cases: list[Case]) -> None:
     for seed in range(6):
         made = problem(cases, 'object_only', seed)
-        assert 0.015 < np.ptp(made.drag.tips, axis=0).max() < 0.061
+        assert 0.015 < np.ptp(made.recording.tips, axis=0).max() < 0.061
     noise = problem(cases, 'noise_only')
-    assert not noise.drag.on_bone.any() and len(noise.drag.positions) >= 600
-    assert np.ptp(noise.drag.tips, axis=0) == pytest.approx(
+    assert not noise.recording.on_bone.any() and len(noise.recording.positions) >= 600
+    assert np.ptp(noise.recording.tips, axis=0) == pytest.approx(
         1.2 * np.ptp(noise.field.bounds, axis=0), rel=0.05)
 
 
-def test_what_is_wrong_by_nature() -> None:
+def test_wrong_and_hard_scenarios() -> None:
     assert {name for name, scenario in SCENARIOS.items() if scenario.wrong} == set(IMPOSSIBLE)
     assert {name for name, scenario in SCENARIOS.items() if scenario.hard} == {*IMPOSSIBLE,
                                                                                *POSSIBLE}
 
 
-def test_a_bone_without_the_region_is_named(hip_bone: Path, tmp_path: Path) -> None:
+def test_names_a_bone_without_the_region(hip_bone: Path, tmp_path: Path) -> None:
     shutil.copy(hip_bone, tmp_path / 'a_femur.ply')
     case = Case(str(tmp_path / 'a_femur.ply'), 'proximal_femur')
     with pytest.raises(InputError, match=r'a_femur\.ply: the bone has no head'):

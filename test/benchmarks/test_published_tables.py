@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`gsdf bench paper`: who is asked what, what becomes of an answer, and the tables."""
+"""``python -m benchmarks paper``: the trials of each method, their rows, and the tables."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import paper, starts
-from benchmarks.cases import Case, find_cases
-from benchmarks.paper import METHODS, SAMPLED, TABLES, Job, attempt, questions
+from benchmarks.__main__ import main
+from benchmarks.paper import experiment
+from benchmarks.paper.experiment import METHODS, SAMPLED, TABLES, Job, run_trial, trials_of
+from benchmarks.paper.tables import figures, markdown, tsv
 from benchmarks.peers.caller import PeerError
-from benchmarks.protocol import SCENARIOS, Problem, Trial, make
-from benchmarks.tables import figures, markdown, tsv
-from gsdf_registration.cli.main import main
+from benchmarks.protocol import starts
+from benchmarks.protocol.cases import Case, find_cases
+from benchmarks.protocol.trials import SCENARIOS, Problem, Trial, make
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 
@@ -24,7 +25,7 @@ ALL = list(dict.fromkeys(name for names in TABLES.values() for name in names))
 
 
 def trial(bone: Path, scenario: str = 'clean') -> Trial:
-    return Trial(Case(str(bone), 'acetabulum'), SCENARIOS[scenario], 0, str(bone), paper.ANGLE)
+    return Trial(Case(str(bone), 'acetabulum'), SCENARIOS[scenario], 0, str(bone), experiment.ANGLE)
 
 
 @pytest.fixture(scope='module')
@@ -32,36 +33,36 @@ def problem(hip_bone: Path) -> Problem:
     return make(trial(hip_bone))
 
 
-def test_every_scenario_of_the_tables_is_known() -> None:
+def test_scenarios_of_the_tables_exist() -> None:
     assert set(ALL) | set(SAMPLED) <= set(SCENARIOS)
 
 
-def test_dear_methods_are_asked_less(bags: Path) -> None:
+def test_slow_methods_solve_fewer_trials(bags: Path) -> None:
     found = find_cases(sorted(bags.glob('*.ply')))
-    asked = {name: [trial for _, trial in questions([method], found, ALL, 3)]
+    solved = {name: [trial for _, trial in trials_of([method], found, ALL, 3)]
              for name, method in METHODS.items()}
     everything = len(found) * len(ALL) * 3
-    assert len(asked['gsdf']) == len(asked['MeshLib']) == everything
-    assert len(asked['FilterReg']) == everything / 3
-    assert {trial.scenario.name for trial in asked['JRMPC']} == set(SAMPLED)
-    assert {trial.seed for trial in asked['JRMPC']} == {0}
-    later = [trial.seed for _, trial in questions([METHODS['JRMPC']], found, ALL, 3, 1000)]
-    assert len(later) == len(asked['JRMPC']) and set(later) == {1000}
-    assert {trial.scenario.name for trial in asked['Go-ICP']} == {'clean'}
-    assert {trial.scenario.name for trial in asked['paper@centroids']} == set(TABLES['regions'])
+    assert len(solved['gsdf']) == len(solved['MeshLib']) == everything
+    assert len(solved['FilterReg']) == everything / 3
+    assert {trial.scenario.name for trial in solved['JRMPC']} == set(SAMPLED)
+    assert {trial.seed for trial in solved['JRMPC']} == {0}
+    later = [trial.seed for _, trial in trials_of([METHODS['JRMPC']], found, ALL, 3, 1000)]
+    assert len(later) == len(solved['JRMPC']) and set(later) == {1000}
+    assert {trial.scenario.name for trial in solved['Go-ICP']} == {'clean'}
+    assert {trial.scenario.name for trial in solved['paper@centroids']} == set(TABLES['regions'])
 
 
-def test_landmarks_give_a_start_that_is_near_and_always_the_same(problem: Problem) -> None:
+def test_start_from_landmarks_is_near_and_reproducible(problem: Problem) -> None:
     start = starts.from_landmarks(problem)
     np.testing.assert_array_equal(start, starts.from_landmarks(problem))
-    off = start @ problem.drag.T_tracker_bone
+    off = start @ problem.recording.T_tracker_bone
     touched = problem.touched
-    moved = np.linalg.norm(rigid.transform(off, touched) - touched, axis=1)
-    assert 1e-4 < moved.mean() < 0.012
+    displacement = np.linalg.norm(rigid.transform(off, touched) - touched, axis=1)
+    assert 1e-4 < displacement.mean() < 0.012
 
 
-def test_centroids_give_a_start_that_is_not_turned(problem: Problem) -> None:
-    points = problem.drag.positions
+def test_start_from_centroids_has_no_rotation(problem: Problem) -> None:
+    points = problem.recording.positions
     start = starts.from_centroids(problem, points)
     np.testing.assert_array_equal(start[:3, :3], np.eye(3))
     np.testing.assert_allclose(rigid.transform(start, points).mean(axis=0),
@@ -74,7 +75,7 @@ def job(method: str, bone: Path, folder: Path) -> Job:
 
 
 def test_rows_of_our_own_methods(hip_bone: Path, tmp_path: Path) -> None:
-    ours, published = (attempt(job(name, hip_bone, tmp_path)) for name in ('gsdf', 'paper'))
+    ours, published = (run_trial(job(name, hip_bone, tmp_path)) for name in ('gsdf', 'paper'))
     assert list(ours) == list(published)
     for row in (ours, published):
         assert row['status'] == 'answered' and row['success'] and row['tre_rms_m'] < 1e-3
@@ -83,26 +84,26 @@ def test_rows_of_our_own_methods(hip_bone: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('timeout, status', [(True, 'timeout'), (False, 'failed')])
-def test_a_peer_without_an_answer_has_a_row(hip_bone: Path, tmp_path: Path, timeout: bool,
+def test_row_of_a_peer_without_an_answer(hip_bone: Path, tmp_path: Path, timeout: bool,
                                             status: str, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def gives_up(*_: Any) -> None:
+    def fails(*_: Any) -> None:
         tried.append(1)
-        raise PeerError('it is not my day', timeout)
-    monkeypatch.setattr(paper, 'Caller', gives_up)
-    monkeypatch.setattr(paper, '_unfit', {})
+        raise PeerError('no answer', timeout)
+    monkeypatch.setattr(experiment, 'Caller', fails)
+    monkeypatch.setattr(experiment, '_failed', {})
     for _ in range(2):
-        row = attempt(job('MeshLib', hip_bone, tmp_path))
-        assert (row['status'], row['note'], row['success']) == (status, 'it is not my day', False)
+        row = run_trial(job('MeshLib', hip_bone, tmp_path))
+        assert (row['status'], row['note'], row['success']) == (status, 'no answer', False)
         assert row['tre_rms_m'] is None
-    assert len(tried) == 1      # what does not get ready is not waited for again
+    assert len(tried) == 1      # a peer that cannot be prepared is not tried again
 
 
-def test_the_pose_of_a_peer_is_that_of_start_and_motion(
+def test_pose_of_a_peer_combines_start_and_motion(
         hip_bone: Path, problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Perfect:
-        """Finds the motion that is left from what it is given: the points near their bone."""
+        """Returns the exact remaining motion."""
 
         alive = True
 
@@ -113,13 +114,13 @@ def test_the_pose_of_a_peer_is_that_of_start_and_motion(
             assert noise == pytest.approx(5e-4)
             start = starts.from_landmarks(problem)
             assert np.abs(problem.field.sample(points)[0]).mean() < 0.01
-            return rigid.inverse(start @ problem.drag.T_tracker_bone), 0.25
+            return rigid.inverse(start @ problem.recording.T_tracker_bone), 0.25
 
         def close(self) -> None:
             pass
-    monkeypatch.setattr(paper, 'Caller', Perfect)
-    monkeypatch.setattr(paper, '_at_work', {})
-    row = attempt(job('MeshLib', hip_bone, tmp_path))
+    monkeypatch.setattr(experiment, 'Caller', Perfect)
+    monkeypatch.setattr(experiment, '_running', {})
+    row = run_trial(job('MeshLib', hip_bone, tmp_path))
     assert row['status'] == 'answered' and row['success'] and row['seconds'] == 0.25
     assert row['tre_max_m'] < 1e-9
 
@@ -138,7 +139,7 @@ def rows() -> list[dict[str, Any]]:
              'wrong': None}]
 
 
-def test_means_are_over_all_poses_and_success_over_all_trials() -> None:
+def test_means_are_over_poses_and_success_is_over_trials() -> None:
     f = figures(rows()[:3])
     assert (f.trials, f.poses, f.wrong) == (3, 2, 1.0)
     assert f.success == pytest.approx(1 / 3)
@@ -146,7 +147,7 @@ def test_means_are_over_all_poses_and_success_over_all_trials() -> None:
     assert f.t_centroid == pytest.approx(0.1) and f.chamfer == pytest.approx(1.0)
 
 
-def test_the_page_shows_ours_the_published_and_the_missing() -> None:
+def test_tables_show_ours_published_and_missing_methods() -> None:
     text = markdown(rows(), {'TEASER++': 'needs Python 3.10'}, '# Caption')
     lines = text.splitlines()
     assert lines[0] == '# Caption'
@@ -159,7 +160,7 @@ def test_the_page_shows_ours_the_published_and_the_missing() -> None:
                if line.startswith('|') and before.startswith('|'))
 
 
-def test_the_figures_as_a_table() -> None:
+def test_figures_as_tsv() -> None:
     head, *lines = (line.split('\t') for line in tsv(rows()).splitlines())
     assert {len(line) for line in lines} == {len(head)}
     by = {tuple(line[:4]): dict(zip(head, line)) for line in lines}
@@ -167,28 +168,28 @@ def test_the_figures_as_a_table() -> None:
     assert by['gsdf', '', 'uniform_90', 'acetabulum']['seconds'] == '2'
 
 
-def test_plots_hold_every_method_with_a_curve() -> None:
+def test_plots_contain_every_method_with_several_levels() -> None:
     pytest.importorskip('plotly')
-    from benchmarks.plots import page
+    from benchmarks.paper.plots import page
     text = page(rows())
     assert 'the paper (published)' in text and '"name":"gsdf"' in text
     assert '"name":"Go-ICP"' not in text
 
 
 @pytest.mark.parametrize('option, value', [('--methods', 'magic'), ('--tables', 'seven')])
-def test_what_is_not_known_is_said(option: str, value: str, tmp_path: Path,
+def test_rejects_unknown_names(option: str, value: str, tmp_path: Path,
                                    capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['bench', 'paper', option, value, '--output', str(tmp_path / 'new')]) == 2
-    assert f'"{value}" is not known; say one of' in capsys.readouterr().err
+    assert main(['paper', option, value, '--output', str(tmp_path / 'new')]) == 2
+    assert f'"{value}" is not known; choose one of' in capsys.readouterr().err
 
 
-def test_the_command_writes_its_files_and_goes_on_where_it_ended(
+def test_writes_its_files_and_continues_a_run(
         tmp_path: Path, hip_bone: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip('plotly')
     (tmp_path / 'bones').mkdir()
     (tmp_path / 'bones/hip.ply').symlink_to(hip_bone)
     out = tmp_path / 'out'
-    command = ['bench', 'paper', '--bones', str(tmp_path / 'bones'), '--methods', 'paper',
+    command = ['paper', '--bones', str(tmp_path / 'bones'), '--methods', 'paper',
                '--tables', 'regions', '--trials', '1', '--output', str(out)]
     assert main(command) == 0
     assert capsys.readouterr().out == (out / 'tables.md').read_text() + '\n'

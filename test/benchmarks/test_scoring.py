@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors are what was put in, the bound is what the best solver reaches, and wrong is wrong."""
+"""Errors of known poses, the Cramer-Rao bound, and the criteria for wrong and well-posed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.cases import Case
-from benchmarks.protocol import SCENARIOS, Problem, Trial, make
-from benchmarks.scoring import (
+from benchmarks.protocol.cases import Case
+from benchmarks.protocol.scoring import (
     cramer_rao,
     ideal_wrong,
     is_wrong,
@@ -19,6 +18,7 @@ from benchmarks.scoring import (
     share_of_limits,
     well_posed,
 )
+from benchmarks.protocol.trials import SCENARIOS, Problem, Trial, make
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.registration.confidence import motion_at
@@ -37,15 +37,15 @@ def clean(femur_bone: Path) -> Problem:
     return problem(femur_bone, 'clean')
 
 
-def test_the_truth_has_no_error(clean: Problem) -> None:
-    errors = pose_errors(clean.drag.T_tracker_bone, clean, cramer_rao(clean))
+def test_true_pose_has_no_error(clean: Problem) -> None:
+    errors = pose_errors(clean.recording.T_tracker_bone, clean, cramer_rao(clean))
     assert errors.tre_max_m < 1e-12 and errors.rotation_mae_deg < 1e-9 and errors.nees < 1e-9
-    # what is left is noise along the normal: mean of |N(0, 0.5 mm)|
+    # the rest is noise along the normal: mean of |N(0, 0.5 mm)|
     assert errors.chamfer_m == pytest.approx(5e-4 * np.sqrt(2.0 / np.pi), rel=0.1)
 
 
-def test_a_shift_is_found_everywhere(clean: Problem) -> None:
-    T = clean.drag.T_tracker_bone @ rigid.from_rt(np.eye(3), [0.003, 0.0, 0.0])
+def test_errors_of_a_shift(clean: Problem) -> None:
+    T = clean.recording.T_tracker_bone @ rigid.from_rt(np.eye(3), [0.003, 0.0, 0.0])
     errors = pose_errors(T, clean, cramer_rao(clean))
     assert errors.rotation_mae_deg < 1e-9
     for length in (errors.tre_mean_m, errors.tre_rms_m, errors.tre_p95_m, errors.tre_max_m,
@@ -55,11 +55,11 @@ def test_a_shift_is_found_everywhere(clean: Problem) -> None:
     assert errors.t_origin_mae_m == pytest.approx(0.001)
 
 
-def test_a_turn_about_the_centroid_grows_with_the_lever(clean: Problem) -> None:
+def test_errors_of_a_rotation_about_the_centroid(clean: Problem) -> None:
     c, angle = clean.touched.mean(axis=0), np.radians(0.3)
     R = rigid.rotation_exp([0.0, angle, 0.0])
     turn = rigid.from_rt(R, c - R @ c)
-    errors = pose_errors(clean.drag.T_tracker_bone @ turn, clean, cramer_rao(clean))
+    errors = pose_errors(clean.recording.T_tracker_bone @ turn, clean, cramer_rao(clean))
     assert errors.rotation_mae_deg == pytest.approx(0.1, rel=1e-3)
     assert errors.t_centroid_mae_m < 1e-9
     far = np.linalg.norm((clean.field.surface_points - c)[:, [0, 2]], axis=1)
@@ -69,14 +69,14 @@ def test_a_turn_about_the_centroid_grows_with_the_lever(clean: Problem) -> None:
 
 
 @pytest.mark.parametrize('scenario', ['clean', 'anisotropic', 'sigma_1.2'])
-def test_the_bound_is_what_weighted_least_squares_reaches(femur_bone: Path, scenario: str) -> None:
-    """Monte Carlo: noise drawn anew, the linear problem solved with the true weights."""
+def test_weighted_least_squares_reaches_the_bound(femur_bone: Path, scenario: str) -> None:
+    """Monte Carlo: new noise, and the linear problem solved with the true weights."""
     made = problem(femur_bone, scenario)
     bound, rng = cramer_rao(made), np.random.default_rng(1)
     x = made.touched
     _, n = made.field.sample(x)
     J = np.hstack([np.cross(x - bound.centre, n), n])
-    R = made.drag.T_tracker_bone[:3, :3].T
+    R = made.recording.T_tracker_bone[:3, :3].T
     noise = (rng.normal(size=(4000, len(x), 3)) * made.trial.scenario.sigma) @ R.T
     e = (noise * n).sum(axis=2)
     weight = 1.0 / e.var(axis=0)
@@ -85,17 +85,17 @@ def test_the_bound_is_what_weighted_least_squares_reaches(femur_bone: Path, scen
     np.testing.assert_allclose(np.cov(np.linalg.solve(L, found.T)), np.eye(6), atol=0.12)
 
 
-def test_the_solver_is_near_the_bound(femur_bone: Path) -> None:
+def test_solver_is_near_the_bound(femur_bone: Path) -> None:
     nees = []
     for seed in range(25):
         made = problem(femur_bone, 'clean', seed)
-        found = solve(made.drag.positions, made.field, rigid.inverse(made.drag.T_tracker_bone),
-                      Config().solver).T_bone_tracker
+        start = rigid.inverse(made.recording.T_tracker_bone)
+        found = solve(made.recording.positions, made.field, start, Config().solver).T_bone_tracker
         nees.append(pose_errors(rigid.inverse(found), made, cramer_rao(made)).nees)
     assert 0.85 < np.sqrt(np.mean(nees) / 6.0) < 1.25
 
 
-def test_the_bound_does_not_depend_on_the_frame(clean: Problem) -> None:
+def test_bound_is_independent_of_the_frame(clean: Problem) -> None:
     here = cramer_rao(clean)
     assert here.predicted_tre(clean.touched).mean() < 3e-4
     far = cramer_rao(problem(Path(clean.trial.case.bone), 'uniform_90'))
@@ -106,12 +106,12 @@ def test_the_bound_does_not_depend_on_the_frame(clean: Problem) -> None:
 @pytest.mark.parametrize('tre, predicted, wrong', [
     (0.0005, 0.0, False), (0.0011, 0.0, True), (0.0011, 0.0001, False), (0.0019, 0.0002, True),
     (0.0029, 0.002, False), (0.0031, 0.002, True), (0.0031, None, True)])
-def test_wrong_is_far_or_farther_than_said(clean: Problem, tre: float, predicted: float | None,
-                                           wrong: bool) -> None:
+def test_wrong_if_far_or_far_beyond_the_prediction(clean: Problem, tre: float,
+                                                   predicted: float | None, wrong: bool) -> None:
     assert is_wrong(clean, tre, predicted) == wrong
 
 
-def test_every_answer_to_a_wrong_bone_is_wrong(femur_bone: Path) -> None:
+def test_every_pose_of_a_wrong_bone_is_wrong(femur_bone: Path) -> None:
     assert is_wrong(problem(femur_bone, 'mirrored'), 0.0, 1.0)
     assert not is_wrong(problem(femur_bone, 'shaft_only', region='proximal_femur'), 0.0, 0.0)
 
@@ -130,7 +130,7 @@ def test_well_posed(clean: Problem, femur_bone: Path) -> None:
     assert not well_posed(problem(femur_bone, 'mirrored'), None, GENEROUS)
 
 
-def test_the_chance_of_an_ideal_estimator_to_be_wrong(clean: Problem) -> None:
+def test_probability_that_an_ideal_estimator_is_wrong(clean: Problem) -> None:
     rng = np.random.default_rng(3)
     bound, surface = cramer_rao(clean), clean.field.surface_points[::20].astype(float)
     for times in (1.0, 4.0, 8.0):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`gsdf bench trust`: what was asked and answered, counted as it should be."""
+"""``python -m benchmarks trust``: rows, counts and tables of trials."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.cases import Case
-from benchmarks.protocol import SCENARIOS, Problem, Trial, make
-from benchmarks.trust import (
+from benchmarks.__main__ import main
+from benchmarks.protocol.cases import Case
+from benchmarks.protocol.trials import SCENARIOS, Problem, Trial, make
+from benchmarks.trust.trial import (
     COLUMNS,
-    basins,
+    expected_wrong,
     faulty_refusals,
-    ideally_wrong,
-    row,
+    not_found,
     table,
-    wrong_claims,
+    trial_row,
+    wrongly_accepted,
 )
-from gsdf_registration.cli.main import main
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, RegistrationResult
@@ -35,46 +35,46 @@ def answer(T: np.ndarray, predicted: float = 5e-4) -> RegistrationResult:
     return RegistrationResult(Reason.CONVERGED, 'yes', T, predicted_tre_m={'rms': predicted})
 
 
-def test_rows_of_right_wrong_and_refused(femur_bone: Path) -> None:
+def test_rows_of_right_wrong_and_refused_poses(femur_bone: Path) -> None:
     asked = problem(femur_bone, 'clean')
-    T = asked.drag.T_tracker_bone
-    generous = Config().replaced({'limits.max_bone_tre': 0.01})
-    right = row(asked, answer(T), generous)
+    T = asked.recording.T_tracker_bone
+    lenient = Config().replaced({'limits.max_bone_tre': 0.01})
+    right = trial_row(asked, answer(T), lenient)
     assert right['verdict'] == 'right' and right['well_posed'] and right['tre_rms_m'] < 1e-9
     off = T @ rigid.from_rt(np.eye(3), [0.0, 0.0, 0.0026])
-    wrong = row(asked, answer(off), Config())
+    wrong = trial_row(asked, answer(off), Config())
     assert wrong['verdict'] == 'wrong' and wrong['tre_rms_m'] == pytest.approx(0.0026)
-    assert row(asked, answer(off, 6e-4), Config())['verdict'] == 'right'
-    refused = row(asked, RegistrationResult.refused(Reason.AMBIGUOUS, 'no'), Config())
+    assert trial_row(asked, answer(off, 6e-4), Config())['verdict'] == 'right'
+    refused = trial_row(asked, RegistrationResult.refused(Reason.AMBIGUOUS, 'no'), Config())
     assert refused['verdict'] == 'refused' and refused['tre_rms_m'] is None
     assert list(refused) == list(right)
-    # the pose behind the refusal counts; a pose a little off is in the right basin all the same
-    assert right['in_basin'] and wrong['in_basin'] and refused['in_basin']
-    astray = T @ rigid.from_rt(np.eye(3), [0.0, 0.0, 0.006])
-    assert not row(asked, answer(astray), Config())['in_basin']
-    mirrored = row(problem(femur_bone, 'mirrored'), answer(T), Config())
+    # the refused pose counts as found, and so does a pose with a small error
+    assert right['found'] and wrong['found'] and refused['found']
+    displaced = T @ rigid.from_rt(np.eye(3), [0.0, 0.0, 0.006])
+    assert not trial_row(asked, answer(displaced), Config())['found']
+    mirrored = trial_row(problem(femur_bone, 'mirrored'), answer(T), Config())
     assert mirrored['verdict'] == 'wrong' and not mirrored['well_posed']
     assert list(mirrored) == list(right)
 
 
 def rows() -> list[dict[str, Any]]:
     one = {'scenario': 'clean', 'verdict': 'right', 'reason': 'converged', 'well_posed': True,
-           'in_basin': True, 'ideal_wrong': 0.01, 'nees': 6.0, 'tre_rms_m': 3e-4,
+           'found': True, 'ideal_wrong': 0.01, 'nees': 6.0, 'tre_rms_m': 3e-4,
            'predicted_rms_m': 5e-4, 'search_s': 0.5, 'solve_s': 0.1}
     return [{**one, 'scenario': 'mirrored', 'verdict': 'wrong', 'well_posed': False,
-             'in_basin': None, 'ideal_wrong': None, 'nees': None, 'tre_rms_m': None},
+             'found': None, 'ideal_wrong': None, 'nees': None, 'tre_rms_m': None},
             one, {**one, 'nees': 24.0, 'tre_rms_m': 4e-4},
             {**one, 'verdict': 'refused', 'reason': 'ambiguous', 'search_s': None},
             {**one, 'verdict': 'refused', 'reason': 'ambiguous', 'well_posed': False,
-             'in_basin': False}]
+             'found': False}]
 
 
-def test_the_table_counts() -> None:
+def test_table_counts() -> None:
     clean, mirrored, all_ = (dict(zip(COLUMNS, cells)) for cells in table(rows()))
     assert (clean['scenario'], mirrored['scenario'], all_['scenario']) == ('clean', 'mirrored',
                                                                           'all')
     assert [clean[key] for key in ('trials', 'right', 'refused', 'wrong')] == ['4', '2', '2', '0']
-    assert clean['basin'] == '75.0%' and mirrored['basin'] == '-'
+    assert clean['found'] == '75.0%' and mirrored['found'] == '-'
     assert clean['efficiency'] == '1.58' and clean['median'] == '1.50'
     assert clean['TRE'] == '0.35' and clean['search'] == '500'
     assert clean['refused for'] == '2 ambiguous'
@@ -82,17 +82,20 @@ def test_the_table_counts() -> None:
     assert all_['trials'] == '5' and all_['wrong'] == '1'
 
 
-def test_what_went_wrong_is_listed() -> None:
-    assert [row['scenario'] for row in wrong_claims(rows())] == ['mirrored']
+def test_lists_failures() -> None:
+    assert [row['scenario'] for row in wrongly_accepted(rows())] == ['mirrored']
     refused, well = faulty_refusals(rows())
     assert len(refused) == 1 and well == 3
-    astray, asked = basins(rows())
-    assert len(astray) == 1 and asked == 4
-    assert ideally_wrong(rows()) == pytest.approx(0.02)
+    missed, count = not_found(rows())
+    assert len(missed) == 1 and count == 4
+    assert expected_wrong(rows()) == pytest.approx(0.02)
 
 
 def trust(*options: str) -> int:
-    return main(['bench', 'trust', *options])
+    try:
+        return main(['trust', *options])
+    except SystemExit as end:
+        return int(end.code or 0)
 
 
 @pytest.fixture
@@ -101,45 +104,45 @@ def shipped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures('shipped')
-def test_a_run_is_printed_kept_and_continued(tmp_path: Path,
+def test_prints_and_continues_a_run(tmp_path: Path,
                                              capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / 'trust.tsv'
     options = ['--scenarios', 'clean,noise*', '-o', str(output)]
     assert trust('--trials', '2', *options) == 0
     first = capsys.readouterr()
-    assert first.err == '' and 'of 2 claimed and wrong' in first.out
+    assert first.err == '' and 'of 2 accepted and wrong' in first.out
     begun = output.read_text()
     assert trust('--trials', '4', *options) == 0
     shown = capsys.readouterr().out
-    assert 'of 4 claimed and wrong' in shown and 'noise_only' in shown
+    assert 'of 4 accepted and wrong' in shown and 'noise_only' in shown
     assert output.read_text().startswith(begun) and len(output.read_text().splitlines()) == 6
     settings = tmp_path / 'settings.yaml'
     settings.write_text('search: {parts: 1}')
     assert trust('--trials', '4', *options, '--config', str(settings)) == 2
-    assert 'results of other config' in capsys.readouterr().err
+    assert 'results with other config' in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures('shipped')
-def test_one_trial_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_prints_one_trial(capsys: pytest.CaptureFixture[str]) -> None:
     assert trust('--only', 'femur/condyles/clean/5') == 0
-    told = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    assert told['trial'] == 'femur/condyles/clean/5' and told['verdict'] == 'right'
-    assert float(told['tre_rms_m']) < 2e-3
+    printed = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert printed['trial'] == 'femur/condyles/clean/5' and printed['verdict'] == 'right'
+    assert float(printed['tre_rms_m']) < 2e-3
 
 
 @pytest.mark.usefixtures('shipped')
 @pytest.mark.parametrize('options, sentence', [
     (['--scenarios', 'gremlins'], '"gremlins" is not known'),
-    (['--scenarios', 'other_person'], 'cannot be had of these bones'),
-    (['--trials', '0'], '--trials must be at least 1'),
+    (['--scenarios', 'other_person'], 'not possible with these bones'),
+    (['--trials', '0'], 'argument --trials: must be 1 or more'),
     (['--regions', 'skull'], '"skull" is not known'),
-    (['--only', 'femur/condyles/clean'], 'say BONE/REGION/SCENARIO/SEED'),
-    (['--only', 'femur/skull/clean/1'], 'say BONE/REGION/SCENARIO/SEED'),
-    (['--only', 'femur/condyles/cup_only/1'], 'cannot be had of this bone'),
-    (['--only', 'femur/condyles/*/1'], 'say BONE/REGION/SCENARIO/SEED'),
-    (['--only', 'femur/condyles/clean/-1'], 'say BONE/REGION/SCENARIO/SEED'),
+    (['--only', 'femur/condyles/clean'], 'give BONE/REGION/SCENARIO/SEED'),
+    (['--only', 'femur/skull/clean/1'], 'give BONE/REGION/SCENARIO/SEED'),
+    (['--only', 'femur/condyles/cup_only/1'], 'not possible with this bone'),
+    (['--only', 'femur/condyles/*/1'], 'give BONE/REGION/SCENARIO/SEED'),
+    (['--only', 'femur/condyles/clean/-1'], 'give BONE/REGION/SCENARIO/SEED'),
     (['--bones', 'nowhere'], 'nowhere')])
-def test_bad_input_is_one_sentence(capsys: pytest.CaptureFixture[str], options: list[str],
+def test_reports_errors_in_one_line(capsys: pytest.CaptureFixture[str], options: list[str],
                                    sentence: str) -> None:
     assert trust(*options) == 2
     error = capsys.readouterr().err

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``gsdf build``, ``register`` and ``replay``: exit status, sentences, files."""
+"""``gsdf build``, ``register`` and ``replay``: exit codes, messages, files."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 import trimesh
 
 from gsdf_registration import __version__
-from gsdf_registration.cli.main import main
+from gsdf_registration.cli.main import SUBCOMMANDS, main
 from gsdf_registration.common.rigid import Array, exp, is_rigid, rotation_from_quaternion, transform
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.truth import Truth, truth_path, write_truth
@@ -30,8 +31,8 @@ HEADER = 'name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z\n'
 
 
 def gsdf(*args: object, **more: object) -> subprocess.CompletedProcess[str]:
-    """Run the command in a process of its own."""
-    return subprocess.run([sys.executable, '-m', 'gsdf_registration.cli.main', *map(str, args)],
+    """Run the command in a separate process."""
+    return subprocess.run([sys.executable, '-m', 'gsdf_registration', *map(str, args)],
                           capture_output=True, text=True, timeout=120, **more)
 
 
@@ -54,7 +55,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tracker = transform(T_TRACKER_BONE, LANDMARKS) + 0.002
     write_landmarks(root / 'landmarks.csv', LANDMARKS, tracker)
     (root / 'coarse.yaml').write_text('model:\n  voxel_size: 0.002\n')
-    for name in ('run_a', 'run_b'):
+    for name in ('bag_a', 'bag_b'):
         with BagWriter(root / name) as bag:
             for i, point in enumerate(touched):
                 bag.write_point('/probe/tip', 1.7e9 + i, point, 'camera')
@@ -64,8 +65,8 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def there(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in that directory, with a cache of its own."""
+def in_job_directory(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work in that directory, with a separate cache."""
     monkeypatch.setenv('GSDF_CACHE_DIR', str(job / 'cache'))
     monkeypatch.setenv(
         'PYTHONPATH',
@@ -79,7 +80,7 @@ MARKED = ('--landmarks', 'landmarks.csv')
 REGISTER = ('register', 'bone.ply', 'points.csv', '--unit', 'mm', *COARSE)
 
 
-# --- in a process of its own
+# --- in a separate process
 
 def test_register_end_to_end(job: Path) -> None:
     done = gsdf(*REGISTER, *MARKED, '--json', 'pose.json')
@@ -104,37 +105,37 @@ def test_register_end_to_end(job: Path) -> None:
         'model.voxel_size'] == 0.002
 
 
-def test_json_on_standard_output_is_nothing_but_json() -> None:
+def test_json_on_standard_output_is_pure_json() -> None:
     done = gsdf(*REGISTER, *MARKED, '--json', '-')
     assert done.returncode == 0 and json.loads(done.stdout)['success'] is True
     assert done.stderr.startswith('registered: ')
 
 
-def test_an_unreadable_model_is_one_line_and_status_2() -> None:
+def test_unreadable_model_exits_with_2_and_one_line() -> None:
     done = gsdf('register', 'nowhere.ply', 'points.csv', '--unit', 'mm')
     assert (done.returncode, done.stdout) == (2, '')
     assert done.stderr == 'gsdf: error: nowhere.ply does not exist\n'
 
 
-def test_bad_usage_is_one_line_and_status_2() -> None:
+def test_bad_usage_exits_with_2_and_one_line() -> None:
     done = gsdf('register', 'bone.ply', 'points.csv', '--unit', 'inch')
     assert (done.returncode, done.stdout) == (2, '')
     assert done.stderr.count('\n') == 1 and done.stderr.startswith('gsdf: error: argument --unit')
 
 
-def test_several_bags_in_processes_of_their_own(job: Path) -> None:
-    done = gsdf('replay', 'run_a', 'run_b', 'nowhere', '--model', 'bone.ply', '--landmarks',
-                'run_a.yaml', '--config', 'coarse.yaml', '--jobs', '2', '--json', 'all.json')
+def test_replays_several_bags_in_parallel(job: Path) -> None:
+    done = gsdf('replay', 'bag_a', 'bag_b', 'nowhere', '--model', 'bone.ply', '--landmarks',
+                'bag_a.yaml', '--config', 'coarse.yaml', '--jobs', '2', '--json', 'all.json')
     assert done.returncode == 2 and done.stderr == 'gsdf: error: nowhere does not exist\n'
     a, b, c = json.loads((job / 'all.json').read_text())
     assert a['T_tracker_bone'] == b['T_tracker_bone'] and a['success']
     assert set(c) == KEYS and c['reason'] == 'bad_input' and c['T_tracker_bone'] is None
-    assert done.stdout.count('true error') == 2 and done.stdout.startswith('run_a: registered')
+    assert done.stdout.count('true error') == 2 and done.stdout.startswith('bag_a: registered')
 
 
-def test_a_closed_pipe_is_no_error() -> None:
+def test_closed_pipe_is_not_an_error() -> None:
     process = subprocess.Popen(
-        [sys.executable, '-m', 'gsdf_registration.cli.main', *REGISTER, *MARKED, '--json', '-'],
+        [sys.executable, '-m', 'gsdf_registration', *REGISTER, *MARKED, '--json', '-'],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
     errors = process.stderr.read().decode()
@@ -142,10 +143,10 @@ def test_a_closed_pipe_is_no_error() -> None:
 
 
 
-# --- the same without a new process
+# --- in this process
 
 def error_of(capsys: pytest.CaptureFixture[str], *args: object) -> str:
-    """Return the one line on stderr of a run that ends with status 2."""
+    """Return the one line on stderr of a command that exits with 2."""
     try:
         status = main([str(arg) for arg in args])
     except SystemExit as end:
@@ -157,7 +158,7 @@ def error_of(capsys: pytest.CaptureFixture[str], *args: object) -> str:
 
 
 def refusal_of(capsys: pytest.CaptureFixture[str], *args: object) -> dict:
-    """Return the JSON of a run that ends with status 1; it holds no pose."""
+    """Return the JSON of a command that exits with 1; it contains no pose."""
     assert main([str(arg) for arg in args] + ['--json', '-']) == 1
     outcome = json.loads(capsys.readouterr().out)
     assert set(outcome) == KEYS and outcome['success'] is False
@@ -165,17 +166,18 @@ def refusal_of(capsys: pytest.CaptureFixture[str], *args: object) -> dict:
     return outcome
 
 
-@pytest.mark.parametrize('command', [[], ['build'], ['register'], ['replay'], ['bench']])
+@pytest.mark.parametrize('command', [[], ['build'], ['register'], ['replay'], ['import-ndi'],
+                                     ['simulate'], ['show'], ['demo']])
 def test_help_shows_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main([*command, '--help'])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    assert text.startswith('usage: gsdf') and (not command
-                                               or f'example:\n  gsdf {command[0]} ' in text)
+    assert text.startswith('usage: gsdf')
+    assert re.search('examples?:\n  gsdf ' + ''.join(command), text)
 
 
-def test_help_does_not_load_what_only_running_needs() -> None:
+def test_help_does_not_import_heavy_libraries() -> None:
     code = ('import sys, gsdf_registration.cli.main as m; m.make_parser(); '
             'print({"numba", "scipy", "trimesh", "rosbags", "rclpy"} & set(sys.modules))')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
@@ -190,26 +192,25 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(('name', 'content', 'option', 'says'), [
     ('a.yaml', 'solver: [', '--config', 'a.yaml, line 1'),
-    ('b.yaml', '- 1', '--config', 'b.yaml holds no settings'),
+    ('b.yaml', '- 1', '--config', 'b.yaml contains no settings'),
     ('c.yaml', 'solver: {methid: paper}', '--config', 'c.yaml: unknown parameter "solver.methid"'),
     ('d.yaml', 'solver: {cauchy_scale: 7}', '--config', 'd.yaml: solver.cauchy_scale must lie in'),
-    ('e.json', '{"T_tracker_bone": ', '--initial', 'e.json, line 1: this is no valid JSON'),
-    ('f.json', '{"pose": 1}', '--initial', 'f.json holds no pose'),
+    ('e.json', '{"T_tracker_bone": ', '--initial', 'e.json, line 1: this is not valid JSON'),
+    ('f.json', '{"pose": 1}', '--initial', 'f.json contains no pose'),
     ('g.json', '{"T_tracker_bone": null}', '--initial', 'g.json'),
     ('h.json', json.dumps({'T_tracker_bone': np.diag([2.0, 1, 1, 1]).tolist()
                            }), '--initial', 'not a rigid'),
     ('i.csv', 'name,x\na,1\n', '--landmarks', 'i.csv: landmarks need the columns'),
     ('j.csv', HEADER + 'a,1,2,3,4,5,six\n', '--landmarks', 'j.csv, line 2'),
-    ('k.yaml', 'landmarks: []', '--landmarks', 'k.yaml is no ground truth'),
+    ('k.yaml', 'landmarks: []', '--landmarks', 'k.yaml is not a ground truth'),
 ])
-def test_what_cannot_be_read_is_named(job: Path, capsys: pytest.CaptureFixture[str], name: str,
+def test_unreadable_options_are_named(job: Path, capsys: pytest.CaptureFixture[str], name: str,
                                       content: str, option: str, says: str) -> None:
     (job / name).write_text(content)
     assert says in error_of(capsys, *REGISTER, option, name)
 
 
-def test_points_that_cannot_be_read_are_named(job: Path,
-                                              capsys: pytest.CaptureFixture[str]) -> None:
+def test_unreadable_points_are_named(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (job / 'bad.csv').write_text('x,y,z\n1,2,3\n4,five,6\n')
     assert 'bad.csv, line 3' in error_of(capsys, 'register', 'bone.ply', 'bad.csv', '--unit', 'mm')
     assert 'nowhere.csv' in error_of(capsys, 'register', 'bone.ply', 'nowhere.csv', '--unit', 'mm')
@@ -217,59 +218,84 @@ def test_points_that_cannot_be_read_are_named(job: Path,
     assert 'pose.json' in error_of(capsys, *REGISTER, *MARKED, '--json', 'no/where/pose.json')
 
 
-def test_an_interrupt_is_quiet(capsys: pytest.CaptureFixture[str],
-                               monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_exits_quietly(capsys: pytest.CaptureFixture[str],
+                                 monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
     monkeypatch.setattr('gsdf_registration.session.replay.replay', interrupted)
-    assert main(['replay', 'run_a', '--model', 'bone.ply', '--config', 'coarse.yaml']) == 130
+    assert main(['replay', 'bag_a', '--model', 'bone.ply', '--config', 'coarse.yaml']) == 130
     assert capsys.readouterr() == ('', '')
 
 
-def test_no_command_and_unknown_ones_are_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    assert 'COMMAND' in error_of(capsys)
-    assert 'regsiter' in error_of(capsys, 'regsiter')
-    assert 'must be 1 or more' in error_of(capsys, 'replay', 'run_a', '--model', 'bone.ply',
-                                           '--jobs', '0')
+@pytest.mark.parametrize(('words', 'says'), [
+    ([], 'COMMAND'),
+    (['regsiter'], '"regsiter" is not a command; did you mean register?'),
+    (['frobnicate'], '"frobnicate" is not a command; choose one of build, register'),
+    (['register', '--jsno', 'out.json'], 'there is no option --jsno; did you mean --json?'),
+    (['register', '--xyz=1'], 'there is no option --xyz (see gsdf register --help)'),
+    (['replay', 'bag_a', '--jobs', '0'], 'argument --jobs: must be 1 or more, not 0'),
+    (['replay', 'bag_a', '--jobs', 'two'], 'argument --jobs: "two" is not a whole number'),
+    (['build', 'bone.ply', '--voxel', 'big'], 'argument --voxel: "big" is not a number'),
+])
+def test_bad_usage_says_what_to_do(capsys: pytest.CaptureFixture[str], words: list[str],
+                                   says: str) -> None:
+    assert says in error_of(capsys, *words)
 
 
-def test_a_model_in_the_wrong_unit_is_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in (REGISTER, ('replay', 'run_a', '--model', 'bone.ply')):
+@pytest.mark.parametrize('columns', ['60', '80', '100'])
+@pytest.mark.parametrize('command', SUBCOMMANDS)
+def test_help_wraps_between_words(capsys: pytest.CaptureFixture[str],
+                                  monkeypatch: pytest.MonkeyPatch, command: str,
+                                  columns: str) -> None:
+    monkeypatch.setenv('COLUMNS', '1000')
+    with pytest.raises(SystemExit):
+        main([command.replace('_', '-'), '--help'])
+    words = capsys.readouterr().out.split()
+    monkeypatch.setenv('COLUMNS', columns)
+    with pytest.raises(SystemExit):
+        main([command.replace('_', '-'), '--help'])
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= int(columns)
+    assert sorted(word for word in text.split() if word != '\\') == sorted(words)
+
+
+def test_rejects_a_model_in_the_wrong_unit(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (REGISTER, ('replay', 'bag_a', '--model', 'bone.ply')):
         outcome = refusal_of(capsys, *command, '--model-unit', 'm')
         assert outcome['reason'] == 'wrong_unit' and 'bone.ply' in outcome['message']
         assert outcome['inputs']['model_sha256'] is None and len(
             outcome['inputs']['points_sha256']) == 64
 
 
-def test_points_in_the_wrong_unit_are_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_points_in_the_wrong_unit(capsys: pytest.CaptureFixture[str]) -> None:
     outcome = refusal_of(capsys, 'register', 'bone.ply', 'points.csv', '--unit', 'm', *COARSE)
     assert outcome['reason'] == 'wrong_unit'
 
 
-def test_landmarks_on_a_line_are_a_refusal(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_landmarks_on_a_line(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = np.linspace([0.0, 0.0, 0.0], [0.06, 0.0, 0.0], 3)
     write_landmarks(job / 'line.csv', line, line)
     outcome = refusal_of(capsys, *REGISTER, '--landmarks', 'line.csv')
     assert outcome['reason'] == 'bad_input' and 'line' in outcome['message']
 
 
-def test_too_few_points_are_a_refusal(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_too_few_points(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (job / 'few.csv').write_text('x,y,z\n1,2,3\n')
     outcome = refusal_of(capsys, 'register', 'bone.ply', 'few.csv', '--unit', 'mm', *COARSE)
     assert outcome['reason'] == 'too_few_points' and outcome['points']['received'] == 1
 
 
-def test_points_that_are_not_finite_are_left_out(job: Path,
-                                                 capsys: pytest.CaptureFixture[str]) -> None:
+def test_ignores_points_that_are_not_finite(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (job / 'holes.csv').write_text((job / 'points.csv').read_text() + 'nan,nan,nan\n')
     assert main(
         ['register', 'bone.ply', 'holes.csv', '--unit', 'mm', *COARSE, *MARKED, '--json', '-']) == 0
     out, errors = capsys.readouterr()
     assert json.loads(out)['points']['received'] == 301
-    assert 'not believed   1 not finite' in errors
+    assert 'rejected       1 not finite' in errors
 
 
-def test_points_with_stamps_pass_the_gates(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_with_stamps_pass_through_a_session(job: Path,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
     points = np.loadtxt(job / 'points.csv', delimiter=',', skiprows=1)
     rows = np.column_stack([np.arange(len(points)), points])
     np.savetxt(job / 'stamped.csv',
@@ -287,7 +313,7 @@ def test_points_with_stamps_pass_the_gates(job: Path, capsys: pytest.CaptureFixt
     assert outcome['bone_pose']['frame_id'] == 'array'
 
 
-def test_an_outcome_is_a_first_guess(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_result_is_accepted_as_initial_guess(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*REGISTER, *MARKED, '--json', 'first.json']) == 0
     assert main([*REGISTER, '--initial', 'first.json', '--json', 'second.json']) == 0
     first, second = (json.loads(Path(name).read_text()) for name in ('first.json', 'second.json'))
@@ -295,9 +321,9 @@ def test_an_outcome_is_a_first_guess(capsys: pytest.CaptureFixture[str]) -> None
                                                                abs=1e-5)
 
 
-def test_replay_gives_the_pose_and_the_true_error(job: Path,
-                                                  capsys: pytest.CaptureFixture[str]) -> None:
-    command = ['replay', 'run_a', '--model', 'bone.ply', *COARSE, '--landmarks', 'run_a.yaml']
+def test_replay_prints_the_pose_and_the_true_error(job: Path,
+                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    command = ['replay', 'bag_a', '--model', 'bone.ply', *COARSE, '--landmarks', 'bag_a.yaml']
     assert main([*command, '--json', 'replay.json']) == 0
     assert 'true error' in capsys.readouterr().out
     outcome = json.loads((job / 'replay.json').read_text())
@@ -307,21 +333,21 @@ def test_replay_gives_the_pose_and_the_true_error(job: Path,
     assert np.abs(error).max() < 3e-4
 
 
-def test_replay_names_what_it_cannot_read(capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_names_unreadable_inputs(capsys: pytest.CaptureFixture[str]) -> None:
     assert 'nowhere' in error_of(capsys, 'replay', 'nowhere', '--model', 'bone.ply')
-    assert '/other' in error_of(capsys, 'replay', 'run_a', '--model', 'bone.ply', '--topic',
+    assert '/other' in error_of(capsys, 'replay', 'bag_a', '--model', 'bone.ply', '--topic',
                                 '/other')
-    assert 'nowhere.ply' in error_of(capsys, 'replay', 'run_a', 'run_b', '--model', 'nowhere.ply')
+    assert 'nowhere.ply' in error_of(capsys, 'replay', 'bag_a', 'bag_b', '--model', 'nowhere.ply')
 
 
-def test_build_writes_a_field_that_register_takes(job: Path,
-                                                  capsys: pytest.CaptureFixture[str]) -> None:
+def test_register_reads_the_field_that_build_writes(job: Path,
+                                                    capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['build', 'bone.ply', '--voxel', '2', '-o', 'bone.gsdf']) == 0
     assert capsys.readouterr().out.startswith('bone.ply: 60 x 90 x 140 mm, field of 2 mm voxels')
     assert main(['register', 'bone.gsdf', 'points.csv', '--unit', 'mm', *MARKED]) == 0
 
 
-def test_build_refuses_in_words(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_build_reports_errors_in_one_line(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert 'bone.ply' in error_of(capsys, 'build', 'bone.ply', '--model-unit', 'm')
     assert 'voxel' in error_of(capsys, 'build', 'bone.ply', '--voxel', '0')
     assert 'no/where' in error_of(capsys, 'build', 'bone.ply', '--voxel', '2', '-o',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`gsdf simulate` as a user calls it."""
+"""``gsdf simulate``: the bag, the ground truth and the messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from msg_adapters.bag import read_bag
 from msg_adapters.truth import read_truth
 
 
-def test_help_names_what_there_is() -> None:
+def test_help_names_all_regions_and_kinds() -> None:
     assert set(REGIONS) == set(RADIUS)
     assert {'uniform', *STRUCTURED} == {share.name for share in fields(Interference)}
 
@@ -28,7 +28,8 @@ def simulate(bone: Path, output: Path, *options: str, region: str = 'acetabulum'
     return main(['simulate', str(bone), f'--region={region}', '-o', str(output), *options])
 
 
-def test_bag_and_truth(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_writes_bag_and_ground_truth(hip_bone: Path, tmp_path: Path,
+                                     capsys: pytest.CaptureFixture[str]) -> None:
     options = [
         '--points', '200', '--outliers', '0.1', '--interference', 'soft_tissue:0.1,lift_off:0.05',
         '--landmark', 'asis=33.9,58.3,78.2', '--frame-id', 'camera'
@@ -43,10 +44,10 @@ def test_bag_and_truth(hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFix
     np.testing.assert_allclose(truth.landmarks_model, [[0.0339, 0.0583, 0.0782]])
     near = np.linalg.norm(transform(inverse(truth.T_tracker_bone), recording.positions),
                           axis=1) < 0.055
-    assert near.mean() > 0.8        # round the acetabulum, which is the model's origin
+    assert near.mean() > 0.8        # around the acetabulum, the origin of the model
 
 
-def test_same_arguments_same_bytes(hip_bone: Path, tmp_path: Path) -> None:
+def test_same_arguments_give_the_same_bytes(hip_bone: Path, tmp_path: Path) -> None:
     for place in ('a', 'b'):
         (tmp_path / place).mkdir()
         assert simulate(hip_bone, tmp_path / place / 'run', '--points', '100', '--seed', '3') == 0
@@ -54,14 +55,14 @@ def test_same_arguments_same_bytes(hip_bone: Path, tmp_path: Path) -> None:
         assert (tmp_path / 'a' / name).read_bytes() == (tmp_path / 'b' / name).read_bytes()
 
 
-def test_region_by_numbers(femur_bone: Path, tmp_path: Path) -> None:
+def test_region_as_a_ball(femur_bone: Path, tmp_path: Path) -> None:
     assert simulate(femur_bone, tmp_path / 'run', '--points', '100', region='-25,0,0,30') == 0
     truth = read_truth(tmp_path / 'run.yaml')
     points = transform(inverse(truth.T_tracker_bone), read_bag(tmp_path / 'run').positions)
     assert np.linalg.norm(points - [-0.025, 0.0, 0.0], axis=1).max() < 0.032
 
 
-def test_a_moving_patient_is_found_in_the_frame_of_the_array(
+def test_registers_a_moving_patient_in_the_frame_of_the_array(
         hip_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
@@ -72,16 +73,16 @@ def test_a_moving_patient_is_found_in_the_frame_of_the_array(
     assert truth.frame_id == ARRAY_FRAME and truth.about['move'] == '20,10'
     config = tmp_path / 'config.yaml'
     config.write_text(f'reference: {{topic: {ARRAY_TOPIC}}}')
-    said = []
+    printed = []
     for options in ([], ['--config', str(config)]):
         main(['replay', str(tmp_path / 'run'), '--model', str(hip_bone), '--landmarks',
               str(tmp_path / 'run.yaml'), '--json', str(tmp_path / 'out.json'), *options])
-        said.append(capsys.readouterr().out)
+        printed.append(capsys.readouterr().out)
     outcome = json.loads((tmp_path / 'out.json').read_text())
     assert outcome['success'] and outcome['bone_pose']['frame_id'] == ARRAY_FRAME
     T = np.array(outcome['T_tracker_bone'])
     assert np.linalg.norm((T - truth.T_tracker_bone)[:3, 3]) < 1e-3
-    assert 'true error' in said[1] and 'true error' not in said[0]
+    assert 'true error' in printed[1] and 'true error' not in printed[0]
 
 
 @pytest.mark.parametrize('options, sentence', [
@@ -98,11 +99,11 @@ def test_a_moving_patient_is_found_in_the_frame_of_the_array(
     (['--dropouts', '0.95'], '--dropouts must lie in'),
     (['--landmark', 'here'], '--landmark here must be 3 numbers'),
     (['--region', '1,2,3'], '--region must be 4 numbers'),
-    (['--region', '900,0,0,10'], 'hardly any bone in the region'),
+    (['--region', '900,0,0,10'], 'the region has too little bone'),
     (['--region', 'skull'], 'is not known'),
     (['--model-unit', 'm'], 'unit'),
 ])
-def test_bad_input_is_one_sentence(hip_bone: Path, tmp_path: Path,
+def test_reports_errors_in_one_line(hip_bone: Path, tmp_path: Path,
                                    capsys: pytest.CaptureFixture[str], options: list[str],
                                    sentence: str) -> None:
     assert simulate(hip_bone, tmp_path / 'run', *options) == 2
@@ -111,7 +112,7 @@ def test_bad_input_is_one_sentence(hip_bone: Path, tmp_path: Path,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_overwritten(hip_bone: Path, tmp_path: Path,
+def test_overwrites_nothing(hip_bone: Path, tmp_path: Path,
                                 capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / 'run').mkdir()
     assert simulate(hip_bone, tmp_path / 'run') == 2

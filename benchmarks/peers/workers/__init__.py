@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Scripts, run by the Pythons of the peers' environments.
+Scripts that run in the environments of the peers.
 
-They import nothing but numpy, the peer's library and one another; a peer is a function here that
-takes a `Model` and returns an `Align`, all in metres.
+They import only numpy, the library of the peer and one another. A peer is a function that takes a
+`Model` and returns an `Align`, all in metres.
 """

@@ -1,36 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Methods that need no start; each is followed by an ICP that does."""
+"""Global methods, which need no initial guess; each is followed by an ICP."""
 
 from __future__ import annotations
 
 import numpy as np
 from icp import Align, Array, Model, open3d_tukey
 
-SPACING = 0.003     # m, of the points that features are made of
-# of the multi-start: candidates that enter, points, reach (m) of each sieve; then all points
-SIEVES = ((6000, 30, 0.03), (400, 100, 0.015), (60, 300, 0.008))
+SPACING = 0.003     # m, voxel size of the points with features
+# stages of the multi-start: candidates, points, correspondence distance (m); then all points
+STAGES = ((6000, 30, 0.03), (400, 100, 0.015), (60, 300, 0.008))
 FINALISTS = 12
 
 
 def rigid(R: Array, t: Array) -> Array:
-    """Return the motion (4, 4) of x -> R x + t."""
+    """Return the transform (4, 4) of x -> R x + t."""
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = R, np.ravel(t)
     return motion
 
 
 def moved(motion: Array, points: Array) -> Array:
-    """Return points (n, 3) after a motion (4, 4)."""
+    """Return points (n, 3) transformed by (4, 4)."""
     return points @ motion[:3, :3].T + motion[:3, 3]
 
 
 def refined(model: Model) -> Align:
-    """Return the ICP that follows, as a function of a rough motion applied to the points."""
+    """Return the ICP that follows; it takes the points after the rough transform."""
     return open3d_tukey(model)
 
 
 def goicp(model: Model) -> Align:
-    """Go-ICP: distance transform of 300 nodes a side, MSE 1e-5 in the unit cube, 50 points."""
+    """Go-ICP: distance transform with 300 nodes per side, MSE 1e-5 in the unit cube, 50 points."""
     from py_goicp import POINT3D, ROTNODE, TRANSNODE, GoICP
     finish = refined(model)
     cloud = model['points'][:20_000]
@@ -44,8 +44,8 @@ def goicp(model: Model) -> Align:
 
     def align(points: Array, noise: float) -> Array:
         few = points[np.linspace(0, len(points) - 1, 50).astype(int)]
-        centre = few.mean(axis=0)
-        source = [POINT3D(*point) for point in ((few - centre) / side).tolist()]
+        centroid = few.mean(axis=0)
+        source = [POINT3D(*point) for point in ((few - centroid) / side).tolist()]
         solver.loadModelAndData(len(target), target, len(source), source)
         solver.MSEThresh, solver.doTrim = 1e-5, False
         rotations, places = ROTNODE(), TRANSNODE()
@@ -57,7 +57,7 @@ def goicp(model: Model) -> Align:
         solver.setInitNodeTrans(places)
         solver.Register()
         R = np.array(solver.optimalRotation())
-        rough = rigid(R, side * np.array(solver.optimalTranslation()) + middle - R @ centre)
+        rough = rigid(R, side * np.array(solver.optimalTranslation()) + middle - R @ centroid)
         return finish(moved(rough, points), noise) @ rough
     return align
 
@@ -75,7 +75,7 @@ def features(cloud: Array) -> tuple[Array, Array]:
 
 
 def teaser(model: Model) -> Align:
-    """TEASER++: on mutually nearest FPFH, as its authors' example does."""
+    """TEASER++: on mutually nearest FPFH, as in the example of its authors."""
     import open3d
     import teaserpp_python
     finish = refined(model)
@@ -88,9 +88,9 @@ def teaser(model: Model) -> Align:
 
     def align(points: Array, noise: float) -> Array:
         source, source_features = features(points)
-        there = nearest(source_features, target_features)
+        forward = nearest(source_features, target_features)
         back = nearest(target_features, source_features)
-        mutual = np.flatnonzero(back[there] == np.arange(len(source)))
+        mutual = np.flatnonzero(back[forward] == np.arange(len(source)))
         params = teaserpp_python.RobustRegistrationSolver.Params()
         params.cbar2 = 1.0
         params.noise_bound = SPACING
@@ -100,7 +100,7 @@ def teaser(model: Model) -> Align:
         params.rotation_cost_threshold = 1e-12
         solver = teaserpp_python.RobustRegistrationSolver(params)
         solver.solve(np.ascontiguousarray(source[mutual].T),
-                     np.ascontiguousarray(target[there[mutual]].T))
+                     np.ascontiguousarray(target[forward[mutual]].T))
         solution = solver.getSolution()
         rough = rigid(solution.rotation, solution.translation)
         return finish(moved(rough, points), noise) @ rough
@@ -108,7 +108,7 @@ def teaser(model: Model) -> Align:
 
 
 def kiss_matcher(model: Model) -> Align:
-    """KISS-Matcher: in a unit of a centimetre, as it takes no voxels below 0.005."""
+    """KISS-Matcher: in centimetres, because its minimum voxel size is 0.005."""
     import kiss_matcher
     finish = refined(model)
     unit = 100.0
@@ -123,7 +123,7 @@ def kiss_matcher(model: Model) -> Align:
 
 
 def multi_start(model: Model) -> Align:
-    """small_gicp from many starts: few points at first, ever fewer starts; the best end wins."""
+    """small_gicp from many starts: more points and fewer candidates in each stage."""
     import small_gicp
     finish = refined(model)
     coarse = small_gicp.PointCloud(model['points'][:20_000])
@@ -131,8 +131,8 @@ def multi_start(model: Model) -> Align:
     small_gicp.estimate_normals(coarse, coarse_tree, 8)
     tree = small_gicp.KdTree(model['points'][::8])
     rng = np.random.default_rng(0)
-    starts = SIEVES[0][0]
-    attitudes, places = [random_rotation(rng) for _ in range(starts)], model['points'][:starts]
+    starts = STAGES[0][0]
+    rotations, places = [random_rotation(rng) for _ in range(starts)], model['points'][:starts]
 
     def best(motions: list[Array], points: Array, reach: float, count: int) -> list[Array]:
         costs = []
@@ -142,10 +142,10 @@ def multi_start(model: Model) -> Align:
         return [motions[k] for k in np.argsort(costs, kind='stable')[:count]]
 
     def align(points: Array, noise: float) -> Array:
-        centre = points.mean(axis=0)
-        motions = [rigid(R, place - R @ centre) for R, place in zip(attitudes, places)]
-        following = [count for count, _, _ in SIEVES[1:]] + [FINALISTS]
-        for (_, count, reach), survivors in zip(SIEVES, following):
+        centroid = points.mean(axis=0)
+        motions = [rigid(R, place - R @ centroid) for R, place in zip(rotations, places)]
+        following = [count for count, _, _ in STAGES[1:]] + [FINALISTS]
+        for (_, count, reach), survivors in zip(STAGES, following):
             few = points[np.linspace(0, len(points) - 1, count).astype(int)]
             source = small_gicp.PointCloud(few)
             motions = [small_gicp.align(coarse, source, coarse_tree, motion,
@@ -159,7 +159,7 @@ def multi_start(model: Model) -> Align:
 
 
 def random_rotation(rng: np.random.Generator) -> Array:
-    """Return a rotation (3, 3), uniform over all."""
+    """Return a uniformly distributed rotation (3, 3)."""
     Q, R = np.linalg.qr(rng.normal(size=(3, 3)))
     Q = Q * np.sign(np.diag(R))
     return Q * np.linalg.det(Q)

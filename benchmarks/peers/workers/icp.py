@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point-to-plane ICPs, each from a far reach to a near one."""
+"""Point-to-plane ICPs, each with a decreasing correspondence distance."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ Array = np.ndarray
 Model = dict[str, Array]    # vertices, faces; points and normals, dense, in random order
 Align = Callable[[Array, float], Array]     # points (n, 3), noise -> motion (4, 4)
 
-TUKEY = 4.685       # standard deviations at which Tukey's weight is 95 % efficient
+TUKEY = 4.685       # standard deviations, for an efficiency of 95 %
 MM = 1e3
 
 
 def reaches(noise: float) -> tuple[float, ...]:
-    """Return the farthest correspondences of successive runs, m; landmarks are 4 mm off."""
+    """Return the maximum correspondence distances of successive runs, m."""
+    # landmarks are 4 mm off
     return 0.01, 0.005, TUKEY * noise
 
 
 def open3d_tukey(model: Model) -> Align:
-    """Open3D: Tukey weights; every fourth model point, for it builds its tree at every call."""
+    """Open3D: Tukey weights; every fourth model point, because each call builds a new tree."""
     import open3d
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     icp = open3d.pipelines.registration
@@ -38,14 +39,14 @@ def open3d_tukey(model: Model) -> Align:
             plane = icp.TransformationEstimationPointToPlane(icp.TukeyLoss(reach))
             found = icp.registration_icp(source, target, reach, motion, plane, criteria)
             if not found.fitness:
-                break       # torn off the bone: what was before is nearer
+                break       # no correspondences: keep the previous pose
             motion = found.transformation
         return motion
     return align
 
 
 def small_gicp_plane(model: Model) -> Align:
-    """small_gicp: weights each axis by the normal, so the model must be dense."""
+    """small_gicp: weights each axis by the normal, therefore the model must be dense."""
     import small_gicp
     target = small_gicp.PointCloud(model['points'])
     tree = small_gicp.KdTree(target)
@@ -63,7 +64,7 @@ def small_gicp_plane(model: Model) -> Align:
 
 
 def meshlib_plane(model: Model) -> Align:
-    """MeshLib: to the mesh itself; pairs beyond thrice the mean distance are left out."""
+    """MeshLib: on the mesh itself; pairs beyond three times the mean distance are ignored."""
     from meshlib import mrmeshnumpy, mrmeshpy
     target = mrmeshpy.MeshOrPoints(
         mrmeshnumpy.meshFromFacesVerts(model['faces'], MM * model['vertices']))
@@ -91,7 +92,7 @@ def meshlib_plane(model: Model) -> Align:
 
 
 def fricp_plane(model: Model) -> Align:
-    """fricp-cpp: Welsch's weights, narrowed as in the paper down to twice the noise."""
+    """fricp-cpp: Welsch weights, reduced as in its paper to twice the noise."""
     import fricp_cpp
     target = fricp_cpp.Target(np.ascontiguousarray(MM * model['points'][::4]),
                               np.ascontiguousarray(model['normals'][::4]))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-One peer and one bone: says that it is ready, then answers each line of JSON with another.
+Register with one peer on one bone: report that it is ready, then answer requests, as JSON lines.
 
-Run as ``python worker.py MODULE PEER MODEL.npz``.  A question holds ``points`` (n, 3), m, bone
-frame, placed by the start, and ``noise``, m; the answer ``motion`` (4, 4) of the points and the
-``seconds`` it took, or ``error``.
+Run it as ``python worker.py MODULE PEER MODEL.npz``. A request contains ``points`` (n, 3), m, bone
+frame, transformed by the start, and ``noise``, m. The response contains the ``motion`` (4, 4) of
+the points and its time ``seconds``, or an ``error``.
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ import numpy as np
 
 
 def main(module: str, peer: str, model: str) -> None:
-    """Prepare the peer, then answer until there are no more questions."""
+    """Prepare the peer, then answer until there are no more requests."""
     die_with_parent()
-    # libraries print what they like; only answers go where answers are read
-    answers = os.fdopen(os.dup(1), 'w')
+    # libraries print to standard output, too: keep it for the responses only
+    responses = os.fdopen(os.dup(1), 'w')
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
-    def say(answer: dict[str, Any]) -> None:
-        answers.write(json.dumps(answer) + '\n')
-        answers.flush()
+    def respond(response: dict[str, Any]) -> None:
+        responses.write(json.dumps(response) + '\n')
+        responses.flush()
     try:
         align = getattr(importlib.import_module(module), peer)(dict(np.load(model)))
     except Exception as error:
-        say({'error': in_a_line(error)})
+        respond({'error': on_one_line(error)})
         return
-    say({'ready': True})
+    respond({'ready': True})
     for line in sys.stdin:
-        question = json.loads(line)
-        points = np.array(question['points'])
+        request = json.loads(line)
+        points = np.array(request['points'])
         started = perf_counter()
         try:
-            motion = np.asarray(align(points, question['noise']), dtype=np.float64)
-            say({'motion': motion.tolist(), 'seconds': perf_counter() - started})
-        except Exception as error:      # a peer may fail as it likes; that is a result
-            say({'error': in_a_line(error)})
+            motion = np.asarray(align(points, request['noise']), dtype=np.float64)
+            respond({'motion': motion.tolist(), 'seconds': perf_counter() - started})
+        except Exception as error:      # any failure of a peer is a result
+            respond({'error': on_one_line(error)})
 
 
-def in_a_line(error: Exception) -> str:
-    """Return what is wrong, without line breaks."""
+def on_one_line(error: Exception) -> str:
+    """Return the error without line breaks."""
     return ' '.join(f'{type(error).__name__}: {error}'.split())
 
 
 def die_with_parent() -> None:
-    """Be killed when whoever asked is gone, even in the middle of a library's call (Linux)."""
+    """Let the kernel kill this process when its parent exits, even in a library call (Linux)."""
     prctl = getattr(ctypes.CDLL(None), 'prctl', None)
     if prctl is not None:
         prctl(1, 9)     # PR_SET_PDEATHSIG, SIGKILL

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m benchmarks live``: latency and processor load of the live pose of the node."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from benchmarks.options import SHIPPED
+from gsdf_registration.clients.processes import running
+from gsdf_registration.common.command_line import example, number, spinner, whole_number
+from gsdf_registration.common.result import InputError
+
+STARTUP = 240.0     # s; the very first start compiles the kernels and builds the field
+WIDTHS = (8, 8, 6, 10, 12, 7, 8, 7, 7, 7, 7, 9, 9, 8)
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'live',
+        help='measure the live pose of the node: latency, processor load, lost points',
+        description='Start the registration node as a process, send it simulated points over DDS '
+        'and receive its live pose. The latency of a point (ms) is the time from its publication '
+        'to the arrival of the first live pose with the same or a later stamp; points sent before '
+        'the status is ready do not count. CPU is the share of one core that the node uses in the '
+        'whole run, searches included. Lost points were never counted by the node, rejected '
+        'points were not kept, unanswered points were not followed by a live pose. First and '
+        'ready are the times of the first pose and of the status ready.',
+        **example('python -m benchmarks live --seconds 60 --rates 80,1000'))
+    parser.add_argument('--model', metavar='MESH', help='bone, mm (default: the shipped hip)')
+    parser.add_argument('--region', metavar='NAME', help='region that is touched (default: by the '
+                        'name of the file: hip, femur, tibia; else by the shape)')
+    parser.add_argument('--rates', metavar='HZ,...', default='80,1000',
+                        help='points per second, one run for each (default: 80,1000)')
+    parser.add_argument('--seconds', type=number, default=60.0, metavar='S',
+                        help='duration of a run (default: 60)')
+    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
+                        help='of the points (default: 0)')
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print a table."""
+    try:
+        from benchmarks.live.meter import Meter
+        from gsdf_registration.clients.domain import private_domain
+        from gsdf_registration.clients.operator import Operator
+    except ImportError as missing:
+        raise InputError(f'the benchmark needs ROS 2 ({missing}): source a ROS 2 Jazzy install, or '
+                         'install gsdf-registration[ros]') from None
+    from benchmarks.live.figures import COLUMNS, line, simulated, true_error
+    from benchmarks.protocol.cases import find_cases
+    from gsdf_registration.field.model import find_model
+
+    rates = read_rates(args.rates)
+    if not args.seconds >= 1.0 or args.seed < 0:
+        raise InputError('--seconds must be at least 1 and --seed must not be negative')
+    case = find_cases([find_model(args.model or SHIPPED)],
+                      [args.region] if args.region else [])[0]
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))       # so that the node exits, too
+    print(f'{case.name}, {args.seconds:g} s per run; latency in ms\n')
+    show(COLUMNS)
+    for rate in rates:
+        recording = simulated(case.bone, case.region, rate, args.seconds, args.seed)
+        with private_domain() as environment, spinner(f'{rate:g} points per second'), \
+                tempfile.TemporaryDirectory() as folder:
+            os.environ.update(environment)
+            with running(node_command(case.bone, folder), 'the node') as node, \
+                    Operator(patience=STARTUP, alive=lambda: node.poll() is None) as operator:
+                operator.spin_until(lambda: operator.state() == 'active', 'the node is not active')
+                meter = Meter(operator, node.pid)
+                meter.await_subscriber(recording.positions[0])
+                measured = meter.run(recording.positions, rate)
+        error = None if measured.pose is None else true_error(
+            measured.pose, recording.T_tracker_bone, case.bone)
+        show(line(measured, rate, error))
+    return 0
+
+
+def node_command(model: str, folder: str) -> list[str]:
+    """Return the command that starts the node for a bone, mm, with its journal in ``folder``."""
+    return [sys.executable, '-m', 'gsdf_registration.node.main', '--ros-args',
+            '-p', f'model.path:={Path(model).resolve()}', '-p', 'model.unit:=mm',
+            '-p', f'session.path:={folder}/session.json']
+
+
+def read_rates(text: str) -> list[float]:
+    """Return the rates of the option, Hz."""
+    try:
+        rates = [float(word) for word in text.split(',')]
+    except ValueError:
+        rates = []
+    if not rates or not all(1.0 <= rate <= 5000.0 for rate in rates):
+        raise InputError(f'--rates must be numbers from 1 to 5000, such as 80,1000, not "{text}"')
+    return rates
+
+
+def show(cells: tuple[str, ...]) -> None:
+    """Print a line of the table."""
+    print(''.join(f'{cell:>{width}}' for cell, width in zip(cells, WIDTHS)), flush=True)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that the benchmarks share, and what the rows of their tables depend on."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gsdf_registration.common.result import InputError
+
+if TYPE_CHECKING:
+    from benchmarks.protocol.cases import Case
+    from gsdf_registration.common.config import Config
+
+SHIPPED = 'package://gsdf_registration/bags/hip.ply'
+
+
+def add_bones_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option with the folder for `bones`."""
+    parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
+                        help='folder of meshes (PLY, STL, OBJ, OFF; mm) (default: $GSDF_BONES_DIR, '
+                        'else the shipped bones)')
+
+
+def bones(folder: str | None) -> list[Path]:
+    """
+    Return the meshes of a folder; without one, the shipped meshes.
+
+    Raises
+    ------
+    InputError
+        If the folder contains no mesh.
+
+    """
+    from gsdf_registration.field.model import find_model
+    found = sorted(file
+                   for file in (Path(folder) if folder else find_model(SHIPPED).parent).iterdir()
+                   if file.suffix.lower() in ('.ply', '.stl', '.obj', '.off'))
+    if not found:
+        raise InputError(f'{folder} contains no mesh; give a folder of PLY, STL, OBJ or OFF files')
+    return found
+
+
+def about(cases: list[Case], seed: int, config: Config) -> dict[str, Any]:
+    """Return what the rows of a table depend on, as JSON values."""
+    from benchmarks.execution.journal import source_hash
+    from gsdf_registration import __version__
+    from msg_adapters.files import sha256_of
+    return {
+        'version': __version__, 'sources': source_hash(), 'seed': seed, 'config': config.flat(),
+        'cases': [case.name for case in cases],
+        'bones': {Path(path).name: sha256_of(path) for path in sorted({c.bone for c in cases})}
+    }

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Score an answer: its errors, their ratio to the Cramer-Rao bound, and whether it is wrong.
+
+The bound is computed from the true positions and the true noise: no unbiased method has a smaller
+error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import erfc
+
+from benchmarks.protocol.trials import Problem
+from gsdf_registration.common import rigid
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.registration.acceptance import error_limits
+from gsdf_registration.registration.confidence import Confidence, motion_at
+
+# an answer is wrong if its RMS TRE over the bone exceeds FAR, or MARGIN + FACTOR * predicted error
+FAR = 0.003         # m
+MARGIN = 0.001      # m
+FACTOR = 3.0
+REACHABLE = 1.5     # times the bound can be reached under interference
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """
+    Errors of a pose; metres, degrees.
+
+    rotation_mae_deg : mean of |Euler angles| (x, y, z) of the rotation from the true to the found
+    t_centroid_mae_m : mean of |x|, |y|, |z| of the error of the centroid of the points on the bone,
+        bone axes
+    t_origin_mae_m : the same for the translation of T_bone_tracker, that is at the origin of the
+        tracker, up to 1.7 m away
+    tre_mean_m, tre_rms_m, tre_p95_m, tre_max_m : displacement of the whole surface of the bone
+    tre_region_m : mean displacement of the exposed area
+    chamfer_m : one-way: mean distance of the measured points on the bone from its surface, which
+        includes noise
+    nees : e^T C^-1 e of the pose error e and the bound C; its expectation at the bound is 6
+    """
+
+    rotation_mae_deg: float
+    t_centroid_mae_m: float
+    t_origin_mae_m: float
+    tre_mean_m: float
+    tre_rms_m: float
+    tre_p95_m: float
+    tre_max_m: float
+    tre_region_m: float
+    chamfer_m: float
+    nees: float
+
+    @property
+    def efficiency(self) -> float:
+        """Return sqrt(NEES / 6): the error in units of the bound."""
+        return float(np.sqrt(self.nees / 6.0))
+
+
+def pose_errors(T_tracker_bone: Array, problem: Problem, bound: Confidence) -> PoseErrors:
+    """
+    Return the errors of a pose.
+
+    Parameters
+    ----------
+    T_tracker_bone : (4, 4) float, m, the answer
+    problem : its model is the bone that was touched
+    bound : its `cramer_rao`
+
+    """
+    found, true = rigid.inverse(T_tracker_bone), rigid.inverse(problem.recording.T_tracker_bone)
+    motion = found @ problem.recording.T_tracker_bone    # of the bone frame
+    tre = rigid.displacement(motion, np.eye(4), problem.field.surface_points.astype(np.float64))
+    region = rigid.displacement(motion, np.eye(4), problem.patch.corners.mean(axis=1))
+    on_bone = rigid.transform(found, problem.recording.positions[problem.recording.on_bone])
+    e = np.concatenate([rigid.rotation_log(motion[:3, :3]),
+                        rigid.transform(motion, bound.centroid) - bound.centroid])
+    return PoseErrors(
+        rotation_mae_deg=float(np.abs(Rotation.from_matrix(motion[:3, :3]).as_euler(
+            'xyz', degrees=True)).mean()),
+        t_centroid_mae_m=float(np.abs(e[3:]).mean()),
+        t_origin_mae_m=float(np.abs(found[:3, 3] - true[:3, 3]).mean()),
+        tre_mean_m=float(tre.mean()), tre_rms_m=rigid.rms(tre),
+        tre_p95_m=float(np.percentile(tre, 95.0)), tre_max_m=float(tre.max()),
+        tre_region_m=float(np.average(region, weights=problem.patch.areas)),
+        chamfer_m=float(np.abs(problem.field.sample(on_bone)[0]).mean()),
+        nees=float(e @ np.linalg.solve(bound.motion_covariance, e)))
+
+
+def cramer_rao(problem: Problem) -> Confidence:
+    """
+    Return the Cramer-Rao bound of the pose error for the data of a problem.
+
+    C = (sum J J^T / (n^T S n))^-1 over the points on the bone, J = [(x - m) x n; n], S the noise's
+    covariance in bone axes; about their centroid m.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the points do not constrain the pose.
+
+    """
+    x = problem.touched
+    _, n = problem.field.sample(x)
+    m = x.mean(axis=0)
+    J = np.concatenate([np.cross(x - m, n), n], axis=1)
+    sigma = np.broadcast_to(problem.trial.scenario.sigma, 3)
+    R_bone_tracker = problem.recording.T_tracker_bone[:3, :3].T
+    variance = ((n @ R_bone_tracker) ** 2 @ sigma**2)
+    return Confidence(np.linalg.inv((J.T / variance) @ J), m, float(np.sqrt(np.mean(sigma**2))),
+                      1.0)
+
+
+def share_of_limits(problem: Problem, bound: Confidence, config: Config) -> float:
+    """Return the largest ratio of the bound of the TRE to its limit; 1: just within the limits."""
+    return max(rigid.rms(bound.predicted_tre(part.targets)) / part.limit
+               for part in error_limits(problem.touched, problem.field, config))
+
+
+def well_posed(problem: Problem, bound: Confidence | None, config: Config) -> bool:
+    """
+    Return whether a refusal of the problem would be a fault.
+
+    That is so if the scenario is no hard case and 1.5 times the bound of the TRE is within the
+    limits of the predicted TRE, `limits.max_predicted_tre` and `limits.max_bone_tre`.
+    """
+    return (bound is not None and not problem.trial.scenario.hard
+            and REACHABLE * share_of_limits(problem, bound, config) <= 1.0)
+
+
+def is_wrong(problem: Problem, tre_rms: float | None, predicted_rms: float | None) -> bool:
+    """
+    Return whether an accepted pose is wrong.
+
+    For a wrong bone, an object or noise every pose is wrong. Otherwise a pose is wrong if its
+    error exceeds 3 mm, or 1 mm + 3 times the predicted error; both RMS over the whole bone, m.
+    """
+    if problem.trial.scenario.wrong or tre_rms is None:
+        return True
+    return tre_rms > _tolerated(predicted_rms or 0.0)
+
+
+def ideal_wrong(problem: Problem, bound: Confidence) -> float:
+    """
+    Return the probability that an ideal estimator, at the bound and consistent, is wrong.
+
+    Its squared RMS TRE is sum l_i z_i^2 with z_i standard normal and l_i the eigenvalues of the
+    bound in the metric mean B_q^T B_q of the bone. The tail over the largest l_i is computed
+    exactly, the other five are sampled.
+    """
+    B = motion_at(problem.field.surface_points - bound.centroid).reshape(-1, 6)
+    L = np.linalg.cholesky(3.0 * B.T @ B / len(B))
+    l_i = np.linalg.eigvalsh(L.T @ bound.motion_covariance @ L)
+    others = np.random.default_rng(0).normal(size=(2000, 5)) ** 2 @ l_i[:5]
+    rest = np.clip(_tolerated(float(np.sqrt(l_i.sum()))) ** 2 - others, 0.0, None)
+    return float(erfc(np.sqrt(rest / (2.0 * l_i[5]))).mean())
+
+
+def _tolerated(predicted_rms: float) -> float:
+    """Return the RMS TRE over the bone, m, above which an answer is wrong."""
+    return min(FAR, MARGIN + FACTOR * predicted_rms)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One trial of the whole pipeline without an initial guess, and the table of many trials."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from benchmarks.execution.journal import Row
+from benchmarks.protocol.scoring import (
+    PoseErrors,
+    cramer_rao,
+    ideal_wrong,
+    is_wrong,
+    pose_errors,
+    share_of_limits,
+    well_posed,
+)
+from benchmarks.protocol.trials import SCENARIOS, Problem, Trial, make
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import RegistrationResult
+from gsdf_registration.common.rigid import rms
+from gsdf_registration.registration.confidence import Confidence
+from gsdf_registration.registration.pipeline import register
+
+COLUMNS = ('scenario', 'trials', 'right', 'refused', 'wrong', 'found', 'efficiency', 'median',
+           'TRE', 'predicted', 'search', 'solve', 'refused for')
+NEAR_TRUTH = 0.005  # m, maximum mean error over the exposed area of a pose that was found
+# settings that accept every pose
+LENIENT = {'limits.max_predicted_tre': 1.0, 'limits.max_bone_tre': 1.0, 'limits.min_gap': 0.0,
+           'limits.min_inliers': 0.0, 'limits.max_pattern': 1000.0, 'limits.min_extent': 0.0}
+
+
+def run_trial(trial: Trial, config: Config) -> Row:
+    """Return the row of a trial: the problem, the answer and its errors; SI units."""
+    problem = make(trial)
+    return trial_row(problem, register(problem.recording.positions, problem.field, config), config)
+
+
+def trial_row(problem: Problem, result: RegistrationResult, config: Config) -> Row:
+    """Return the row of a problem and its answer."""
+    trial = problem.trial
+    bound = None if trial.scenario.wrong else cramer_rao(problem)
+    errors: dict[str, float | None] = dict.fromkeys(PoseErrors.__dataclass_fields__)
+    if bound is not None and result.T_tracker_bone is not None:
+        errors |= asdict(pose_errors(result.T_tracker_bone, problem, bound))
+    predicted = result.predicted_tre_m.get('rms')
+    verdict = ('refused' if not result.success else
+               'wrong' if is_wrong(problem, errors['tre_rms_m'], predicted) else 'right')
+    return {
+        'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,
+        'model': trial.model, 'verdict': verdict, 'reason': str(result.reason),
+        'found': None if bound is None else is_found(problem, bound, result, config),
+        'well_posed': well_posed(problem, bound, config), **errors,
+        'bound_rms_m': None if bound is None else rms(
+            bound.predicted_tre(problem.field.surface_points.astype(np.float64))),
+        'share_of_limits': None if bound is None else share_of_limits(problem, bound, config),
+        'ideal_wrong': None if bound is None else ideal_wrong(problem, bound),
+        'predicted_rms_m': predicted, 'runner_up_ratio': result.runner_up_ratio,
+        'received': result.received, 'used': result.used, 'inliers': result.inliers,
+        'sigma_m': result.sigma_m, 'search_s': result.timing_s.get('search'),
+        'solve_s': result.timing_s.get('solve'), 'message': result.message
+    }
+
+
+def is_found(problem: Problem, bound: Confidence, result: RegistrationResult,
+             config: Config) -> bool:
+    """
+    Return whether the pose is near the truth; if it was refused, the pose that was refused.
+
+    Parameters
+    ----------
+    problem : its model is the bone that was touched
+    bound : its `cramer_rao`
+    result : of its points with these settings
+
+    """
+    if result.T_tracker_bone is None:
+        result = register(problem.recording.positions, problem.field, config.replaced(LENIENT))
+    return (result.T_tracker_bone is not None
+            and pose_errors(result.T_tracker_bone, problem, bound).tre_region_m < NEAR_TRUTH)
+
+
+def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    """
+    Yield the confusion table, a line for each scenario and one for all, cells as text.
+
+    Efficiency and TRE are of the right answers; lengths in mm, times (median) in ms.
+    """
+    present = {row['scenario'] for row in rows}
+    for scenario in [*(name for name in SCENARIOS if name in present), 'all']:
+        selected = [row for row in rows if scenario in (row['scenario'], 'all')]
+        verdicts = Counter(row['verdict'] for row in selected)
+        right = [row for row in selected if row['verdict'] == 'right']
+        reasons = Counter(row['reason'] for row in selected if row['verdict'] == 'refused')
+        efficiency = [np.sqrt(row['nees'] / 6.0) for row in right]
+        yield (
+            scenario, str(len(selected)),
+            *(str(verdicts[v]) for v in ('right', 'refused', 'wrong')),
+            _figure(np.mean, [row['found'] for row in selected if row['found'] is not None],
+                    '.1%'),
+            _figure(rms, efficiency), _figure(np.median, efficiency),
+            _figure(rms, [1e3 * row['tre_rms_m'] for row in right]),
+            _figure(rms, [1e3 * row['predicted_rms_m'] for row in right]),
+            *(_figure(np.median, [1e3 * row[key] for row in selected if row[key] is not None],
+                      '.0f') for key in ('search_s', 'solve_s')),
+            ', '.join(f'{count} {reason}' for reason, count in reasons.most_common()))
+
+
+def wrongly_accepted(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of poses that were accepted and are wrong."""
+    return [row for row in rows if row['verdict'] == 'wrong']
+
+
+def expected_wrong(rows: Sequence[Row]) -> float:
+    """Return the expected number of wrong answers of an ideal estimator for the accepted poses."""
+    return sum(row['ideal_wrong'] for row in rows
+               if row['verdict'] != 'refused' and row['ideal_wrong'] is not None)
+
+
+def faulty_refusals(rows: Sequence[Row]) -> tuple[list[Row], int]:
+    """Return the well-posed rows that were refused, and the number of well-posed rows."""
+    selected = [row for row in rows if row['well_posed']]
+    return [row for row in selected if row['verdict'] == 'refused'], len(selected)
+
+
+def not_found(rows: Sequence[Row]) -> tuple[list[Row], int]:
+    """
+    Return the rows whose pose is not near the truth, and the number of rows that were checked.
+
+    Hard cases are not checked.
+    """
+    selected = [row for row in rows if row['found'] is not None
+           and not SCENARIOS[row['scenario']].hard]
+    return [row for row in selected if not row['found']], len(selected)
+
+
+def _figure(of: Callable[[Any], Any], values: Sequence[float], form: str = '.2f') -> str:
+    return format(float(of(np.array(values))), form) if values else '-'

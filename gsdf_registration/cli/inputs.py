@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read what the command line names; heavy imports are deferred, so that --help is fast."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gsdf_registration.common.result import InputError, Reason, Refusal
+
+if TYPE_CHECKING:
+    from gsdf_registration.common.config import Config
+    from gsdf_registration.common.rigid import Array
+    from gsdf_registration.field import Field
+    from gsdf_registration.session import LandmarkPairs
+    from msg_adapters.recording import Recording
+
+
+def effective_config(args: argparse.Namespace) -> Config:
+    """Return the settings of ``--config``, with the model and its unit from the command line."""
+    from msg_adapters.settings_file import read_config
+    config = read_config(args.config)
+    changes = {'model.path': args.model}
+    if args.model_unit:
+        changes['model.unit'] = args.model_unit
+    return config.replaced(changes)
+
+
+def field_or_refusal(config: Config) -> Field | Refusal:
+    """
+    Return the field of the model, or the refusal if the model is not as large as a bone.
+
+    Raises
+    ------
+    InputError
+        When the model cannot be read.
+
+    """
+    from gsdf_registration.field.model import load_model
+    try:
+        return load_model(config.model.path, config.model.unit, config.model.voxel_size)
+    except InputError as error:
+        if error.reason is not Reason.WRONG_UNIT:
+            raise
+        return error
+
+
+def read_recording(path: str, config: Config, topics: Sequence[str] | None = None) -> Recording:
+    """Return the points of a bag, with the poses of the reference array if the settings ask."""
+    from msg_adapters.bag import read_bag
+    return read_bag(path, topics, config.reference.topic, frames=bool(config.points_frame))
+
+
+def read_initial(path: str | None) -> Array | None:
+    """
+    Return T_tracker_bone (4, 4), m, of a JSON file, or None if there is no file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or does not contain a rigid transform.
+
+    """
+    if path is None:
+        return None
+    import numpy as np
+
+    from gsdf_registration.common.rigid import is_rigid, orthonormalized
+    from msg_adapters.files import read_text
+    try:
+        T = np.array(json.loads(read_text(path))['T_tracker_bone'], dtype=np.float64)
+    except json.JSONDecodeError as error:
+        raise InputError(f'{path}, line {error.lineno}: this is not valid JSON') from None
+    except (KeyError, TypeError, ValueError, RecursionError):
+        raise InputError(
+            f'{path} contains no pose; give {{"T_tracker_bone": [4 rows of 4 numbers]}}') from None
+    if not is_rigid(T, tolerance=1e-3):
+        raise InputError(f'{path}: T_tracker_bone is not a rigid transform; give a 4x4 matrix with '
+                         'a rotation and a translation in metres')
+    return orthonormalized(T)
+
+
+def read_landmark_pairs(path: str | None, model_unit: str, unit: str) -> LandmarkPairs | None:
+    """Return model and tracker positions, m, of a landmark CSV in these units or a truth YAML."""
+    if path is None:
+        return None
+    from msg_adapters.points import read_landmarks
+    from msg_adapters.truth import read_truth
+    if Path(path).suffix.lower() in ('.yaml', '.yml'):
+        truth = read_truth(path)
+        return truth.landmarks_model, truth.landmarks_tracker
+    landmarks = read_landmarks(path, model_unit, unit)
+    return landmarks.model, landmarks.tracker
