@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.result import (
     NextTouch,
@@ -66,7 +67,8 @@ def test_an_accepted_registration_keeps_all_its_numbers():
     assert (message.session_id, message.registration_id) == ('a1b2', 4)
     pose = message.pose.pose
     assert position_of(pose.position) == T[:3, 3].tolist()
-    assert np.allclose(motion_from(pose.position, pose.orientation), T)
+    turn = pose.orientation
+    assert np.allclose(Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix(), T[:3, :3])
     assert np.array_equal(message.pose.covariance, COVARIANCE.ravel())
     assert message.target_names == ['neck', 'cup'] and list(message.target_tre) == [4e-4, 6e-4]
     assert (message.tre_rms, message.tre_max) == (5e-4, 9e-4)
