@@ -13,24 +13,46 @@ from pathlib import Path
 
 import pytest
 
-from gsdf_registration.cli.bench import BENCHES
+from benchmarks.__main__ import BENCHMARKS
+from benchmarks.__main__ import make_parser as make_benchmark_parser
 from gsdf_registration.cli.main import SUBCOMMANDS, make_parser
+from gsdf_registration.common.command_line import Parser
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / 'README.md').read_text()
 DOCUMENTS = ('README.md', 'CONTRIBUTING.md', 'CHANGELOG.md', 'BENCHMARKS.md', 'bags/README.md',
              'docs/interface.md', 'docs/troubleshooting.md')
-COMMANDS = [name.replace('_', '-') for name in SUBCOMMANDS] + [f'bench {name}' for name in BENCHES]
+SUBCOMMAND_NAMES = [name.replace('_', '-') for name in SUBCOMMANDS]
+PARSERS = {'gsdf': make_parser, 'python -m benchmarks': make_benchmark_parser}
+COMMANDS = ['gsdf', *(f'gsdf {name}' for name in SUBCOMMAND_NAMES), 'python -m benchmarks',
+            *(f'python -m benchmarks {name}' for name in BENCHMARKS)]
+
+
+def program_of(command: str) -> tuple[Parser, list[str]] | None:
+    """Return the parser of the program in a command, and its arguments; None for other programs."""
+    for program, make in PARSERS.items():
+        if command == program or command.startswith(f'{program} '):
+            return make(), shlex.split(command.removeprefix(program))
+    return None
 
 
 def parser_of(command: str) -> argparse.ArgumentParser:
-    """Return the parser of a subcommand, such as ``bench field``; empty: that of ``gsdf``."""
-    parser = make_parser()
-    for word in command.split():
+    """Return the parser of a program, such as ``gsdf``, or of its subcommand."""
+    found = program_of(command)
+    assert found is not None
+    parser: argparse.ArgumentParser = found[0]
+    for word in found[1]:
         choices = next(action.choices for action in parser._actions
                        if isinstance(action, argparse._SubParsersAction))
         parser = choices[word]
     return parser
+
+
+def parse(command: str) -> None:
+    """Parse a command of one of the programs; ignore other commands."""
+    found = program_of(command)
+    if found is not None:
+        found[0].parse_args(found[1])
 
 
 def blocks_of(document: str) -> list[str]:
@@ -57,30 +79,34 @@ def test_the_python_example_finds_the_bone(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize('command', ['', *COMMANDS])
-def test_every_command_shows_examples_that_it_takes(command: str) -> None:
-    shown = re.split('examples?:', parser_of(command).epilog or '')[-1].strip().splitlines()
-    assert shown and shown[0].startswith(f'gsdf {command}'.strip())
-    for line in shown:
-        make_parser().parse_args(shlex.split(line)[1:])
-
-
 @pytest.mark.parametrize('command', COMMANDS)
-def test_every_command_stands_in_the_readme(command: str) -> None:
-    *group, name = command.split()      # benches share a row
-    assert re.search(rf'^\| `gsdf {" ".join(group)}.*\b{name}\b', README, re.MULTILINE)
+def test_every_command_shows_valid_examples(command: str) -> None:
+    shown = re.split('examples?:', parser_of(command).epilog or '')[-1].strip().splitlines()
+    assert shown and shown[0].startswith(command)
+    for line in shown:
+        parse(line.strip())
+
+
+@pytest.mark.parametrize('name', SUBCOMMAND_NAMES)
+def test_readme_lists_every_subcommand(name: str) -> None:
+    assert re.search(rf'^\| `gsdf {name}\b', README, re.MULTILINE)
+
+
+@pytest.mark.parametrize('name', BENCHMARKS)
+def test_benchmarks_page_shows_every_benchmark(name: str) -> None:
+    assert f'python -m benchmarks {name}' in (ROOT / 'BENCHMARKS.md').read_text()
 
 
 @pytest.mark.parametrize('document', DOCUMENTS)
-def test_commands_that_are_shown_are_taken(document: str) -> None:
+def test_commands_in_documents_are_valid(document: str) -> None:
     for line in blocks_of(document):
-        if line.startswith('gsdf ') and '...' not in line:
-            make_parser().parse_args(shlex.split(line)[1:])
+        if '...' not in line:
+            parse(line)
 
 
 @pytest.mark.parametrize('command', sorted(set(re.findall(r'`gsdf ([\w-]+)', README))))
-def test_commands_that_are_named_exist(command: str) -> None:
-    assert command in COMMANDS or command == 'bench'
+def test_subcommands_named_in_the_readme_exist(command: str) -> None:
+    assert command in SUBCOMMAND_NAMES
 
 
 def test_targets_that_are_named_exist() -> None:
