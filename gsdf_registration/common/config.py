@@ -81,11 +81,8 @@ class LiveConfig:
     """The live pose, which is updated while points are collected."""
 
     enabled: bool = setting(True, 'compute a pose while points are collected')
-    max_rate: float = setting(100.0, 'maximum rate of the live pose', 'Hz', 0.1, 1000.0)
     max_points: int = setting(2000, 'maximum number of points used for the live pose, sampled '
                               'evenly from all points', '', 100, 1_000_000)
-    status_rate: float = setting(2.0, 'maximum rate of the live status and markers', 'Hz', 0.1,
-                                 50.0)
 
 
 @dataclass(frozen=True)
@@ -109,11 +106,6 @@ class SearchConfig:
                           10_000)
     parts: int = setting(7, 'number of places around which subsets of the points are also tried '
                          'alone', '', 0, 100)
-    reach: float = setting(0.02, 'distance from which a start is pulled in', 'm', 1e-3, 0.5)
-    radius: float = setting(0.004, 'a point with few neighbours in this radius is isolated', 'm',
-                            1e-4, 0.1)
-    spacing: float = setting(0.002, 'voxel size for downsampling in the search', 'm', 1e-5, 0.1)
-    solutions: int = setting(6, 'number of best start poses that are refined', '', 1, 100)
     threads: int = setting(0, 'number of threads; 0: one per core', '', 0, 256)
 
 
@@ -124,21 +116,10 @@ class SolverConfig:
     method: str = setting('mixture', 'estimator of the pose: mixture, or the published method',
                           choices=('mixture', 'paper'))
     max_iterations: int = setting(200, 'maximum number of Gauss-Newton steps', '', 1, 100_000)
-    neighbours: int = setting(16, 'mixture: number of points averaged to detect interference', '',
-                              2, 1000)
-    reach: float = setting(0.006, 'mixture: largest distance of interference from the bone', 'm',
-                           1e-4, 0.1)
     model_error: float = setting(0.0006, 'mixture: standard deviation of the error of the model '
                                  'surface that is assumed', 'm', 0.0, 0.01)
-    tolerance: float = setting(1e-6, 'mixture: stop at a shorter step', 'm', 1e-15, 1e-3)
     cauchy_scale: float = setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
                                   1e-5, 0.1)
-    discard_below: float = setting(0.1, 'paper: discard a point of smaller weight (delta of '
-                                   'Algorithm 1)', '', 0.0, 1.0)
-    weight_tolerance: float = setting(1e-3, 'paper: stop IRLS at a smaller RMS change of the '
-                                      'weights (epsilon of Algorithm 1)', '', 1e-12, 1.0)
-    hold: int = setting(2, 'paper: consecutive steps that must meet the stop criterion', '', 1,
-                        100)
 
 
 @dataclass(frozen=True)
@@ -152,9 +133,6 @@ class LimitsConfig:
     max_pattern: float = setting(
         1.55, 'maximum ratio of the correlation of residuals along the strokes to that of '
         'independent noise', '', 1.0, 1000.0)
-    clear_inliers: float = setting(
-        0.93, 'with this share of inliers correlated residuals are attributed to the model', '',
-        0.0, 1.0)
     max_sigma: float = setting(0.002, 'maximum standard deviation of the noise along the surface '
                                'normal', 'm', 1e-5, 0.1)
     min_gap: float = setting(
