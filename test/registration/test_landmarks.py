@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Three touched points give a pose; what cannot is refused with a sentence."""
+"""The pose from landmarks, and the messages about wrong landmarks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ twists = st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6)
 
 @given(twists, st.integers(3, 6))
 @settings(deadline=None, max_examples=50)
-def test_the_pose_is_recovered_exactly(twist: list[float], n: int) -> None:
+def test_exact_landmarks_yield_the_exact_pose(twist: list[float], n: int) -> None:
     model = np.vstack([MODEL, [[0.05, 0.0, 0.0], [0.0, 0.04, -0.03], [0.01, 0.02, 0.12]]])[:n]
     T = rigid.exp(twist)
     found, residual = pose_from_landmarks(model, rigid.transform(T, model))
@@ -30,7 +30,7 @@ def test_the_pose_is_recovered_exactly(twist: list[float], n: int) -> None:
     assert residual < 1e-12
 
 
-def test_noise_moves_the_pose_by_no_more_than_itself() -> None:
+def test_the_pose_error_is_bounded_by_the_noise() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         noise = rng.normal(size=MODEL.shape)
@@ -38,12 +38,12 @@ def test_noise_moves_the_pose_by_no_more_than_itself() -> None:
         T, residual = pose_from_landmarks(MODEL, TOUCHED + noise)
         assert rigid.is_rigid(T)
         assert 0.0 < residual <= 0.004
-        # the best fit is no farther from the touches than the truth is, so 2 x 4 mm from it at most
+        # the best fit is no farther from the touched points than the truth: 2 x 4 mm at most
         moved = rigid.transform(T, MODEL) - TOUCHED
         assert np.sqrt((moved**2).sum(axis=1).mean()) <= 0.008
 
 
-def test_residual_is_the_distance_left_between_pairs() -> None:
+def test_the_residual_is_the_rms_distance_of_the_pairs() -> None:
     grown = TOUCHED.mean(axis=0) + 1.1 * (TOUCHED - TOUCHED.mean(axis=0))
     _, residual = pose_from_landmarks(MODEL, grown)
     expected = 0.1 * np.sqrt(((MODEL - MODEL.mean(axis=0))**2).sum(axis=1).mean())
@@ -59,12 +59,12 @@ def replaced(points: Array, row: int, value: object) -> Array:
 LINE = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.09, 0.001, 0.0]])
 
 
-@pytest.mark.parametrize(('model', 'tracker', 'words'), [
-    (MODEL[:2], TOUCHED[:2], '2 landmark(s) do not fix a pose'),
-    (MODEL[:0], TOUCHED[:0], '0 landmark(s)'),
+@pytest.mark.parametrize(('model', 'tracker', 'message'), [
+    (MODEL[:2], TOUCHED[:2], '2 landmarks cannot determine a pose'),
+    (MODEL[:0], TOUCHED[:0], '0 landmarks cannot'),
     (MODEL, TOUCHED[:2], 'one touched point for each model point'),
-    (MODEL[:, :2], TOUCHED[:, :2], 'of shape (3, 2)'),
-    (MODEL[0], TOUCHED[0], 'of shape (3,)'),
+    (MODEL[:, :2], TOUCHED[:, :2], 'the shapes (3, 2)'),
+    (MODEL[0], TOUCHED[0], 'the shapes (3,)'),
     (replaced(MODEL, 1, np.nan), TOUCHED, 'not finite'),
     (MODEL, replaced(TOUCHED, 2, np.inf), 'not finite'),
     (MODEL, replaced(TOUCHED, 2,
@@ -73,17 +73,17 @@ LINE = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.09, 0.001, 0.0]])
     (LINE, TOUCHED, 'on the model lie on a line'),
     (MODEL, rigid.transform(T_TRACKER_BONE, LINE), 'as touched lie on a line'),
 ])
-def test_what_fixes_no_pose_is_refused_in_a_sentence(model: Array, tracker: Array,
-                                                     words: str) -> None:
+def test_degenerate_landmarks_are_refused(model: Array, tracker: Array,
+                                          message: str) -> None:
     with pytest.raises(InputError) as error:
         pose_from_landmarks(model, tracker)
-    assert words in error.value.message
+    assert message in error.value.message
     assert error.value.reason is Reason.BAD_INPUT
     assert '\n' not in error.value.message
 
 
 @pytest.mark.parametrize('garbage', [None, 'abc', [[1.0, 2.0], [3.0]], object()])
-def test_what_is_no_array_is_refused_too(garbage: object) -> None:
+def test_landmarks_that_are_not_arrays_are_refused(garbage: object) -> None:
     with pytest.raises(InputError):
         pose_from_landmarks(garbage, TOUCHED)       # type: ignore[arg-type]
 
@@ -92,7 +92,7 @@ NAMES = ['a', 'b', 'c', 'd']
 FOUR = np.vstack([MODEL, [[0.05, 0.0, 0.0]]])
 
 
-def test_touches_of_a_usual_error_agree() -> None:
+def test_landmarks_with_usual_errors_agree() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         side = rng.normal(size=FOUR.shape)
@@ -103,17 +103,17 @@ def test_touches_of_a_usual_error_agree() -> None:
 
 
 @pytest.mark.parametrize('wrong', [0, 1, 2, 3])
-def test_the_one_without_which_the_others_agree_is_named(wrong: int) -> None:
+def test_the_wrong_landmark_is_named(wrong: int) -> None:
     touched = FOUR.copy()
     touched[wrong] += 0.05 * (touched[wrong] - FOUR.mean(axis=0)) / np.linalg.norm(
         touched[wrong] - FOUR.mean(axis=0))
-    words = disagreement(NAMES, FOUR, rigid.transform(T_TRACKER_BONE, touched))
-    assert words.startswith(f'but "{NAMES[wrong]}" lies up to ')
+    message = disagreement(NAMES, FOUR, rigid.transform(T_TRACKER_BONE, touched))
+    assert message.startswith(f'"{NAMES[wrong]}" is up to ')
 
 
-def test_landmarks_in_another_order_are_told() -> None:
-    words = disagreement(NAMES[:3], MODEL, TOUCHED[[1, 0, 2]])
-    assert words == 'but it looks as if they were touched in this order: "b", "a", "c"'
-    words = disagreement(NAMES[:2], MODEL[:2], TOUCHED[[0, 2]])
-    assert words == ('but "a" and "b" are 185 mm apart, 110 mm on the model: were other places '
-                     'touched?')
+def test_the_order_of_swapped_landmarks_is_named() -> None:
+    message = disagreement(NAMES[:3], MODEL, TOUCHED[[1, 0, 2]])
+    assert message == 'the landmarks were probably touched in this order: "b", "a", "c"'
+    message = disagreement(NAMES[:2], MODEL[:2], TOUCHED[[0, 2]])
+    assert message == ('"a" and "b" are 185 mm apart, but 110 mm on the model; check that the '
+                       'right places were touched')

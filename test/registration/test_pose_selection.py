@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose is the one that fits exactly, though another explains more; rivals are told by it."""
+"""The selected pose under soft tissue and model error, and its alternatives."""
 
 from __future__ import annotations
 
 import numpy as np
-from smooth_bone import T_TRACKER_BONE, bone_field, touched
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.registration.pose_selection import APART, choose, solve_all
+from gsdf_registration.registration.pose_selection import SAME_MINIMUM, select_pose, solve_all
 from gsdf_registration.solver import solve
 
 CONFIG = Config()
@@ -19,7 +19,7 @@ SIGMA = 3e-4
 
 def under_tissue(share: float, seed: int) -> Array:
     """Return 1000 touched points, a ``share`` of them on tissue 1-4 mm thick on one side."""
-    points = touched(1000, seed, SIGMA)
+    points = touched_points(1000, seed, SIGMA)
     _, gradient = bone_field().sample(points)
     side = points @ np.array([0.3, 1.0, 0.2])
     soft = np.argsort(side)[round(1000 * (1.0 - share)):]
@@ -29,7 +29,7 @@ def under_tissue(share: float, seed: int) -> Array:
 
 
 def off(T: Array, points: Array) -> float:
-    """Return how far a pose is from the true one over the points, RMS, m."""
+    """Return the error of a pose at the points, RMS, m."""
     apart = rigid.transform(T, points) - rigid.transform(T_BONE_TRACKER, points)
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
@@ -39,41 +39,42 @@ def near(seed: int) -> Array:
     return T_BONE_TRACKER @ rigid.exp(np.r_[0.02 * rng.normal(size=3), 0.001 * rng.normal(size=3)])
 
 
-def test_soft_tissue_draws_single_solutions_off_but_not_the_choice() -> None:
+def test_soft_tissue_biases_single_solutions_but_not_the_selected_pose() -> None:
     alone, chosen = [], []
     for seed in range(3):
         points = under_tissue(0.35, seed)
         alone.append(solve(points, bone_field(), near(seed), CONFIG.solver))
-        chosen.append(choose(solve_all(points, bone_field(), [near(seed)], CONFIG), points,
+        chosen.append(select_pose(solve_all(points, bone_field(), [near(seed)], CONFIG), points,
                              bone_field(), CONFIG.solver).solution)
         assert off(chosen[-1].T_bone_tracker, points) < 4e-4 and chosen[-1].consistent
-    # or this shows nothing
+    # otherwise the test would be too easy
     assert max(off(solution.T_bone_tracker, points) for solution in alone) > 8e-4
 
 
-def test_where_all_points_fit_nothing_more_is_tried() -> None:
+def test_no_further_poses_are_solved_if_all_points_fit() -> None:
     points = under_tissue(0.0, 0)
     assert len(solve_all(points, bone_field(), [near(0), near(1)], CONFIG)) == 2
 
 
-def test_an_error_that_model_or_tracker_makes_everywhere_is_allowed_for() -> None:
-    points = touched(1000, 0)
+def test_a_model_error_everywhere_is_allowed_for() -> None:
+    points = touched_points(1000, 0)
     _, gradient = bone_field().sample(points)
     wave = 4e-4 * np.sin(points @ np.array([250.0, 180.0, 210.0]))
     points = rigid.transform(T_TRACKER_BONE, points + wave[:, None] * gradient)
     points += 1e-4 * np.random.default_rng(0).normal(size=points.shape)
-    chosen = choose(solve_all(points, bone_field(), [near(0)], CONFIG), points, bone_field(),
+    chosen = select_pose(solve_all(points, bone_field(), [near(0)], CONFIG), points, bone_field(),
                     CONFIG.solver).solution
     assert (chosen.weights > 0.5).mean() > 0.9 and off(chosen.T_bone_tracker, points) < 6e-4
 
 
-def test_rivals_are_apart_and_the_likeliest_comes_first() -> None:
+def test_alternatives_are_distinct_and_sorted_by_likelihood() -> None:
     points = under_tissue(0.0, 1)
     turned = [T_BONE_TRACKER @ rigid.exp([0.0, angle, 0.0, 0.0, 0.0, 0.0]) for angle in (0.8, 2.0)]
-    choice = choose(solve_all(points, bone_field(), [near(0), *turned], CONFIG), points,
+    selected = select_pose(solve_all(points, bone_field(), [near(0), *turned], CONFIG), points,
                     bone_field(), CONFIG.solver)
-    assert off(choice.solution.T_bone_tracker, points) < 2e-4
-    gaps = [rival.gap for rival in choice.rivals]
+    assert off(selected.solution.T_bone_tracker, points) < 2e-4
+    gaps = [other.gap for other in selected.alternatives]
     assert gaps and gaps == sorted(gaps) and gaps[0] > CONFIG.limits.min_gap
-    assert all(off(rival.T_bone_tracker, points) > 0.9 * APART for rival in choice.rivals)
-    assert choice.runner_up_ratio is not None and choice.runner_up_ratio > 1.0
+    assert all(off(other.T_bone_tracker, points) > 0.9 * SAME_MINIMUM
+               for other in selected.alternatives)
+    assert selected.runner_up_ratio is not None and selected.runner_up_ratio > 1.0
