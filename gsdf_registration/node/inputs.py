@@ -25,7 +25,7 @@ from gsdf_registration.tracking.clock import BACK
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters import ros
-from msg_adapters.motion import NO_MOTION
+from msg_adapters.motion import INVALID_TRANSFORM
 
 PERIOD = 0.1        # s, between two checks for points that have waited too long
 IDLE_PERIOD = 1.0   # s, the same if no point can wait
@@ -131,7 +131,7 @@ class Inputs:
         try:
             _, T, _ = ros.pose_from(message)
         except InputError:
-            T = NO_MOTION
+            T = INVALID_TRANSFORM
         header = message.header
         self._transformer.add_pose(ros.stamp_to_seconds(header.stamp), T, header.frame_id)
 

@@ -35,7 +35,7 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
     ----------
     recording : Recording
         With stamps.  If it numbers strokes, each change of the number starts a stroke.  With
-        ``reference.topic`` its `Recording.motions` must contain the poses of the array.
+        ``reference.topic`` its `Recording.transforms` must contain the poses of the array.
     field : Field
     config : Config, optional
     landmarks : ((k, 3), (k, 3)) float, optional
@@ -76,21 +76,21 @@ def _log_restart(event: str, value: Any) -> None:
 
 
 def _play(recording: Recording, transformer: PointTransformer, stamps: list[float]) -> None:
-    """Add points and motions in the order in which they were received."""
+    """Add points and transforms in the order in which they were received."""
     names = recording.source_names
     positions, sources = recording.positions.tolist(), recording.sources.tolist()
     quality = [None] * len(stamps) if recording.quality is None else recording.quality.tolist()
     strokes = [0] * len(stamps) if recording.strokes is None else recording.strokes.tolist()
-    motions = iter([*recording.motions, None])
-    motion = next(motions)
+    transforms = iter([*recording.transforms, None])
+    pending = next(transforms)
     for row in range(len(stamps) + 1):
-        while motion is not None and motion.after <= row:
-            if motion.child:
-                transformer.add_transform(motion.parent, motion.child, motion.stamp,
-                                          motion.T_parent_child, motion.fixed)
+        while pending is not None and pending.after <= row:
+            if pending.child:
+                transformer.add_transform(pending.parent, pending.child, pending.stamp,
+                                          pending.T_parent_child, pending.fixed)
             else:
-                transformer.add_pose(motion.stamp, motion.T_parent_child, motion.parent)
-            motion = next(motions)
+                transformer.add_pose(pending.stamp, pending.T_parent_child, pending.parent)
+            pending = next(transforms)
         if row < len(stamps):
             transformer.add_point(Sample(
                 stamps[row], tuple(positions[row]), recording.frame_ids[row], names[sources[row]],

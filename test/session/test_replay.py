@@ -19,7 +19,7 @@ from gsdf_registration.session.replay import replay
 from gsdf_registration.simulation.moving import Sway
 from msg_adapters.bag import read_bag
 from msg_adapters.bag_writer import BagWriter
-from msg_adapters.recording import Motion, Recording
+from msg_adapters.recording import RecordedTransform, Recording
 from msg_adapters.truth import Truth
 
 T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
@@ -114,10 +114,11 @@ def moving(field: Field, hidden: tuple[float, float] = (0.0, 0.0)) -> Recording:
     points = transform(inverse(SWAY.T_tracker_body), still.positions)
     stamps = 1.7e9 + STEP * np.arange(200)
     seen = [transform(SWAY.pose(stamp), point) for stamp, point in zip(stamps, points)]
-    motions = [Motion(int(np.searchsorted(stamps, stamp)), stamp, SWAY.pose(stamp), 'tracker')
-               for stamp in 1.7e9 - 0.004 + STEP * np.arange(201)
-               if not hidden[0] < stamp - 1.7e9 < hidden[1]]
-    return recording(field, positions=np.array(seen), stamps=stamps, motions=motions)
+    transforms = [RecordedTransform(int(np.searchsorted(stamps, stamp)), stamp, SWAY.pose(stamp),
+                                    'tracker')
+                  for stamp in 1.7e9 - 0.004 + STEP * np.arange(201)
+                  if not hidden[0] < stamp - 1.7e9 < hidden[1]]
+    return recording(field, positions=np.array(seen), stamps=stamps, transforms=transforms)
 
 
 WITH_ARRAY = Config.from_flat({'reference.topic': '/array', 'gate.max_speed': 100.0})
@@ -168,8 +169,8 @@ def test_a_looped_recording_gives_its_last_pass(
 def test_transforms_points_into_the_session_frame(field: Field) -> None:
     once = recording(field)
     T = exp([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
-    fixed = Motion(0, 0.0, T, 'world', 'tracker', True)
-    _, session = replay(recording(field, motions=[fixed]), field,
+    fixed = RecordedTransform(0, 0.0, T, 'world', 'tracker', True)
+    _, session = replay(recording(field, transforms=[fixed]), field,
                         Config.from_flat({'probe.frame_id': 'world'}))
     assert session.status().frame_id == 'world'
     np.testing.assert_allclose(session.points().positions, transform(T, once.positions))
