@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What RViz and Foxglove are to show: files they can read, of topics that the node offers."""
+"""The layouts for RViz and Foxglove: valid files that show the topics of the node."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from msg_adapters import markers
 CONFIG = Path(__file__).parents[1] / 'config'
 RVIZ = yaml.safe_load((CONFIG / 'registration.rviz').read_text())['Visualization Manager']
 FOXGLOVE = json.loads((CONFIG / 'foxglove_layout.json').read_text())
-# private topics of DESIGN that are to be seen, and how they are kept for who comes late
+# topics of the node that a layout shows
 LATCHED = {'/registration/markers', '/registration/points',
            '/registration/bone_pose_with_covariance'}
-PASSING = {'/registration/live_pose', *Config().probe.topics}
+VOLATILE = {'/registration/live_pose', *Config().probe.topics}
 MESSAGES = {'MarkerArray': 'visualization_msgs/msg/MarkerArray',
             'PointCloud2': 'sensor_msgs/msg/PointCloud2',
             'PoseWithCovariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
@@ -27,14 +27,14 @@ MESSAGES = {'MarkerArray': 'visualization_msgs/msg/MarkerArray',
 
 
 def rviz_topics() -> dict[str, dict[str, str]]:
-    """Return what RViz listens to, with the settings, and the message of the display."""
+    """Return the topics that RViz subscribes to, with settings and the message type."""
     return {display['Topic']['Value']: {
         **display['Topic'], 'message': MESSAGES[display['Class'].partition('/')[2]]}
         for display in RVIZ['Displays'] if 'Topic' in display}
 
 
-def test_rviz_shows_all_there_is_to_be_seen_in_the_frame_of_the_bone() -> None:
-    assert rviz_topics().keys() == LATCHED | PASSING
+def test_rviz_shows_all_topics_in_the_bone_frame() -> None:
+    assert rviz_topics().keys() == LATCHED | VOLATILE
     assert RVIZ['Global Options']['Fixed Frame'] == Config().model.frame_id
     assert 'rviz_default_plugins/TF' in {display['Class'] for display in RVIZ['Displays']}
     assert all(display['Enabled'] is display['Value'] for display in RVIZ['Displays'])
@@ -42,7 +42,7 @@ def test_rviz_shows_all_there_is_to_be_seen_in_the_frame_of_the_bone() -> None:
     assert {'Scene', 'Live pose', 'TF'} <= shown
 
 
-def test_rviz_hears_what_was_said_before_it_came() -> None:
+def test_rviz_subscribes_with_the_qos_of_each_topic() -> None:
     for topic, settings in rviz_topics().items():
         durability = 'Transient Local' if topic in LATCHED else 'Volatile'
         reliability = 'Reliable' if topic in LATCHED else 'Best Effort'
@@ -50,7 +50,7 @@ def test_rviz_hears_what_was_said_before_it_came() -> None:
         assert settings['Reliability Policy'] == reliability, topic
 
 
-def test_rviz_knows_the_namespaces_of_the_markers() -> None:
+def test_rviz_enables_the_namespaces_of_the_markers() -> None:
     scene = next(display for display in RVIZ['Displays'] if display['Name'] == 'Scene')
     none = np.zeros((0, 3))
     names = {marker.ns for marker in [*markers.bone(none, none, none), *markers.points(none, none),
@@ -59,26 +59,26 @@ def test_rviz_knows_the_namespaces_of_the_markers() -> None:
 
 
 def panels(layout: Any) -> list[str]:
-    """Return the panels of a Foxglove layout in their places."""
+    """Return the panels of a Foxglove layout in order."""
     if isinstance(layout, str):
         return [layout]
     assert layout['direction'] in ('row', 'column') and 0 < layout['splitPercentage'] < 100
     return panels(layout['first']) + panels(layout['second'])
 
 
-def test_foxglove_shows_all_there_is_to_be_seen_in_the_frame_of_the_bone() -> None:
+def test_foxglove_shows_all_topics_in_the_bone_frame() -> None:
     placed = panels(FOXGLOVE['layout'])
     assert sorted(placed) == sorted(FOXGLOVE['configById'])
     scene = FOXGLOVE['configById']['3D!scene']
     assert scene['followTf'] == Config().model.frame_id
-    # its 3D panel draws no PointStamped
-    assert scene['topics'].keys() == (LATCHED | PASSING) - set(Config().probe.topics)
+    # the 3D panel does not draw PointStamped
+    assert scene['topics'].keys() == (LATCHED | VOLATILE) - set(Config().probe.topics)
     assert scene['topics']['/registration/markers']['visible']
     assert scene['topics']['/registration/live_pose']['visible']
 
 
-def test_nothing_is_of_the_size_of_a_room() -> None:
-    """Metres: a bone is some 0.3 m long, what stands on it a few millimetres."""
+def test_sizes_suit_a_bone() -> None:
+    """A bone is about 0.3 m long, the markers on it a few millimetres; all sizes are in m."""
     sizes = [value for display in RVIZ['Displays'] for key, value in display.items()
              if key in ('Axes Length', 'Axes Radius', 'Radius', 'Size (m)', 'Shaft Length')]
     assert sizes and max(sizes) <= 0.1
