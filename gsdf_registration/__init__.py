@@ -2,8 +2,8 @@
 """
 Find a bone under a tracked probe: partial-to-full registration on gradient-SDFs.
 
-The names in ``__all__`` are the public interface; each is loaded when it is first asked for, so
-that importing the package costs nothing.
+The names in ``__all__`` are the public interface. Each is imported on first access, so that
+importing the package is fast.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 __version__ = '0.1.0'
 
-_HOME = {
+_MODULE_OF = {
     'Bone': 'mesh.bone', 'make_bone': 'mesh.bone',
     'Config': 'common.config',
     'Field': 'field', 'build_field': 'field', 'cached_field': 'field',
@@ -25,11 +25,11 @@ _HOME = {
     'RegistrationResult': 'common.result',
     'Session': 'session',
 }
-__all__ = sorted(_HOME)
+__all__ = sorted(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name from its module (PEP 562)."""
-    if name not in _HOME:
+    """Import a public name from its module (PEP 562)."""
+    if name not in _MODULE_OF:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(f'{__name__}.{_HOME[name]}'), name)
+    return getattr(import_module(f'{__name__}.{_MODULE_OF[name]}'), name)

@@ -94,7 +94,7 @@ def first_duplicate(points: Array) -> NDArray[np.intp]:
 
 
 def _min_neighbours(neighbours: NDArray[np.intp]) -> int:
-    """Return the neighbours a point needs so that at most one in 100 such points has them by chance."""
+    """Return the number of neighbours that at most one in 100 such points has by chance."""
     lone, paired = np.count_nonzero(neighbours == 0), np.count_nonzero(neighbours == 1)
     # scattered points have Poisson counts, whose rate is the ratio of their first two frequencies
     rate = paired / lone if lone > 20 else 0.0

@@ -265,7 +265,7 @@ def rotation_from_quaternion(q: ArrayLike) -> Array:
     q = np.asarray(q, dtype=np.float64)
     n = float(np.linalg.norm(q))
     if not np.isfinite(n) or n < 1e-9:
-        raise ValueError(f'quaternion {q.tolist()} has no direction')
+        raise ValueError(f'the quaternion {q.tolist()} is not finite or has zero length')
     x, y, z, w = q / n
     K = skew([x, y, z])
     return np.eye(3) + 2.0 * w * K + 2.0 * (K @ K)
