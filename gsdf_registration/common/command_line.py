@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What the command lines share: a parser with one-line errors, exit codes, a spinner.
+Helpers for command lines: a parser with one-line errors, exit codes, a spinner.
 
 Exit codes: 0 success, 1 rejected, 2 bad usage or unreadable input, 130 interrupted.
 """
@@ -160,7 +160,7 @@ def run_command(parser: Parser, argv: Sequence[str] | None) -> int:
 
 @contextmanager
 def spinner(text: str) -> Iterator[None]:
-    """Show on a terminal that something takes a while; print nothing elsewhere."""
+    """Show a spinner on a terminal; print nothing if the output is not a terminal."""
     if not sys.stderr.isatty() or importlib.util.find_spec('rich') is None:
         yield
         return

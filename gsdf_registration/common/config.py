@@ -116,8 +116,8 @@ class SolverConfig:
     method: str = setting('mixture', 'estimator of the pose: mixture, or the published method',
                           choices=('mixture', 'paper'))
     max_iterations: int = setting(200, 'maximum number of Gauss-Newton steps', '', 1, 100_000)
-    model_error: float = setting(0.0006, 'mixture: standard deviation of the error of the model '
-                                 'surface that is assumed', 'm', 0.0, 0.01)
+    model_error: float = setting(0.0006, 'mixture: assumed standard deviation of the error of the '
+                                 'model surface', 'm', 0.0, 0.01)
     cauchy_scale: float = setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
                                   1e-5, 0.1)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values as JSON can hold them."""
+"""Convert values to plain values for JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def plain(value: Any, without: Container[str] = ()) -> Any:
     """
     Return dataclasses, arrays and enums as dicts, lists and numbers; non-finite numbers as None.
 
-    Fields of dataclasses that ``without`` names are left out.
+    Fields of dataclasses with a name in ``without`` are omitted.
     """
     if isinstance(value, Enum):
         return value.value

@@ -28,20 +28,21 @@ VOXELS_PER_RADIUS = 10  # neighbours are counted in a downsampled cloud: one poi
 
 def filter_isolated(points: Array) -> NDArray[np.bool_]:
     """
-    Tell which points (n, 3), m, a registration uses: points on strokes, each position once.
+    Return a mask of the points (n, 3), m, that a registration uses.
 
-    All others are scattered outliers or repeated readings.
+    They are on strokes and without duplicates; the others are scattered outliers or repeated
+    readings.
     """
     return np.asarray(on_strokes(points) & (first_duplicate(points) == np.arange(len(points))))
 
 
 def on_strokes(points: Array) -> NDArray[np.bool_]:
     """
-    Tell which points lie on strokes rather than scattered in space.
+    Return a mask of the points that are on strokes and not scattered in space.
 
     A point is on a stroke if it has more neighbours than scattered points have by chance, and if
     it belongs to a cluster of such points. If no point is on a stroke, the points were captured
-    one by one, and all of them count.
+    one by one, and all of them are used.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def on_strokes(points: Array) -> NDArray[np.bool_]:
 
 def has_neighbours(points: Array, cloud: Array) -> NDArray[np.bool_]:
     """
-    Tell which new points have enough neighbours to be on a stroke.
+    Return a mask of the new points that have enough neighbours to be on a stroke.
 
     A fast substitute for `on_strokes` while points arrive one by one.
 

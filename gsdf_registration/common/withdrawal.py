@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why a pose that was accepted must no longer be used."""
+"""The reasons for which an accepted pose is withdrawn."""
 
 from __future__ import annotations
 
