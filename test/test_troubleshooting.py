@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the troubleshooting page quotes is what the program says, and what it names is there."""
+"""Test that the quotes and the names in the troubleshooting page exist in the code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ QUOTES = re.findall(r'^> (.+)$', PAGE, re.MULTILINE)
 
 @pytest.fixture(scope='module')
 def sentences() -> str:
-    """Return every string of the sources, a line each, … for what varies in it."""
+    """Return every string of the sources, one per line, with … for inserted values."""
     texts = set()
     for package in ('gsdf_registration', 'msg_adapters'):
         for file in (ROOT / package).rglob('*.py'):
@@ -33,15 +33,15 @@ def sentences() -> str:
 
 
 @pytest.mark.parametrize('quote', QUOTES)
-def test_what_is_quoted_is_said(quote: str, sentences: str) -> None:
+def test_quote_is_a_message_of_the_code(quote: str, sentences: str) -> None:
     assert quote in sentences
 
 
-def test_something_is_quoted() -> None:
+def test_page_has_quotes() -> None:
     assert len(QUOTES) > 30
 
 
-def test_what_is_named_is_there() -> None:
+def test_named_settings_and_causes_exist() -> None:
     known = {name for name, _ in settings()} | {name.split('.')[0] for name, _ in settings()}
     words = set(re.findall(r'`([a-z]+\.[a-z_]+)`', PAGE))
     assert words - {'rejected.*'} <= known
