@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -178,7 +177,7 @@ class RegistrationResult:
         return None if self.T_tracker_bone is None else inverse(self.T_tracker_bone)
 
     @classmethod
-    def refused(cls, reason: Reason, message: str, **known: Any) -> RegistrationResult:
-        """Return a result without a pose; ``known`` sets its other fields."""
-        assert reason is not Reason.CONVERGED and 'T_tracker_bone' not in known
-        return cls(reason=reason, message=message, **known)
+    def refused(cls, reason: Reason, message: str, received: int = 0) -> RegistrationResult:
+        """Return the result of a registration that stopped before it found a candidate pose."""
+        assert reason is not Reason.CONVERGED
+        return cls(reason, message, received=received)

@@ -129,8 +129,7 @@ def test_points_are_drawn_at_their_places_on_the_bone(result: RegistrationResult
 def test_a_refusal_shows_the_reason_and_only_the_points(tmp_path: Path, field: Field, points: Array,
                                                      with_field: bool) -> None:
     message = 'another pose fits; touch the other side'
-    refusal = RegistrationResult.refused(Reason.AMBIGUOUS, message, received=400,
-                                         runner_up_ratio=1.02)
+    refusal = RegistrationResult(Reason.AMBIGUOUS, message, received=400, runner_up_ratio=1.02)
     file = tmp_path / 'refused.html'
     write_report(file, refusal, field if with_field else None, points, title='t', about={})
     text = text_of(file.read_text())
