@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(field.message)
     points, guess = _read_points(args, field, config)
     with spinner('registering'):
-        found = assess_all_points(points, field, config, None, 0, guess, (), lambda: False)
+        found = assess_all_points(points, field, config, guess=guess)
     reason = found.rejection_reason
     title = _accepted(found) if reason is None else f'Refused: {reason.message}'
     with spinner('drawing'):

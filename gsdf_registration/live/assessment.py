@@ -87,10 +87,15 @@ class FullAssessment:
         return () if self.rejection_reason is None else self.rejection_reason.next_touches
 
 
-def assess_all_points(points: Points, field: Field, config: Config, previous: Solution | None,
-                      search_threshold: float, guess: Array | None,
-                      previous_reasons: tuple[Refusal, ...],
-                      cancelled: Callable[[], bool]) -> FullAssessment:
+def assess_all_points(points: Points,
+                      field: Field,
+                      config: Config,
+                      *,
+                      previous: Solution | None = None,
+                      search_threshold: float = 0,
+                      guess: Array | None = None,
+                      previous_reasons: tuple[Refusal, ...] = (),
+                      cancelled: Callable[[], bool] = lambda: False) -> FullAssessment:
     """
     Return a full assessment of all points.
 
@@ -102,7 +107,7 @@ def assess_all_points(points: Points, field: Field, config: Config, previous: So
     previous : Solution, optional
         To follow, unless the bone is searched.
     search_threshold : float
-        The bone is searched if at least this many points are on strokes.
+        The bone is searched if at least this number of points are on strokes.
     guess : (4, 4) float, optional
         T_bone_tracker; the search starts here.
     previous_reasons : of Refusal

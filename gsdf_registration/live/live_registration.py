@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from dataclasses import field as item
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -159,8 +158,14 @@ class LiveRegistration:
         # After points were dropped, first continue from the previous pose: a search takes longer
         search = search and self._previous is None
         reasons = () if self._search is None else self._search.rejection_reasons
-        return partial(assess_all_points, self._points, self._field, self._config, previous,
-                       self._search_threshold() if search else float('inf'), guess, reasons)
+        threshold = self._search_threshold() if search else float('inf')
+        points, field, config = self._points, self._field, self._config
+
+        def job(cancelled: Callable[[], bool]) -> FullAssessment:
+            return assess_all_points(points, field, config, previous=previous, guess=guess,
+                                     search_threshold=threshold, previous_reasons=reasons,
+                                     cancelled=cancelled)
+        return job
 
     def accept(self, assessment: FullAssessment) -> LivePose | None:
         """

@@ -151,8 +151,9 @@ class EndlessAssessment:
         self.started: list[int] = []
         self.cancelled: list[int] = []
 
-    def __call__(self, points: Points, *others: Any) -> FullAssessment:
-        count, cancelled = len(points.stamps), others[-1]
+    def __call__(self, points: Points, *_: Any, cancelled: Callable[[], bool],
+                 **__: Any) -> FullAssessment:
+        count = len(points.stamps)
         self._recorder.append(self.started, count)
         while not cancelled():
             time.sleep(0.001)
