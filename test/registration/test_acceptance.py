@@ -14,7 +14,6 @@ from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, Refusal
-from gsdf_registration.common.rigid import Array
 from gsdf_registration.registration.acceptance import (
     CLEAR_INLIERS,
     acceptance_message,
@@ -203,17 +202,3 @@ def test_the_acceptance_message_names_points_error_and_weakest_direction() -> No
 def test_an_expected_error_of_zero_is_never_reported() -> None:
     precise = replace(accepted(), predicted_tre_m={'rms': 1e-6, 'max': 2e-6})
     assert 'expected error < 0.1 mm (RMS)' in acceptance_message(precise)
-
-
-@pytest.mark.parametrize('reason', [Reason.CONVERGED, Reason.AMBIGUOUS])
-def test_only_an_accepted_candidate_yields_a_pose(reason: Reason) -> None:
-    used = np.ones(402, dtype=bool)
-    used[[0, 401]] = False
-    candidate = accepted()
-    result = candidate.to_result(reason, 'message', used)
-    assert (result.received, result.used, result.inliers) == (402, 400, candidate.inliers)
-    assert (result.T_tracker_bone is None) == (result.covariance is None) == (not result.success)
-    residuals: Array = result.residuals_m
-    assert np.isnan(residuals[~used]).all() and np.isfinite(residuals[used]).all()
-    assert (result.weights[~used] == 0.0).all()
-    assert result.predicted_tre_m == candidate.predicted_tre_m

@@ -3,29 +3,22 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 pytest.importorskip('plotly')
 
 from smooth_bone import LANDMARKS, T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration import __version__
-from gsdf_registration.cli.main import main
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation, transform
 from gsdf_registration.field import Field
 from gsdf_registration.registration.pipeline import register
 from gsdf_registration.visualization import report_scene, write_report
-from msg_adapters.bag_writer import BagWriter
 
 OUTLIERS = 20
 ABOUT = {'model SHA-256': 'c0ffee' * 10, 'points': '<b>points</b>.csv'}
@@ -157,56 +150,3 @@ def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path, result: Regist
                                                 field: Field, points: Array) -> None:
     with pytest.raises(InputError, match='nowhere'):
         write_report(tmp_path / 'nowhere/a.html', result, field, points, title='t', about={})
-
-
-# --- the command line
-
-@pytest.fixture
-def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, points: Array, field: Field) -> Path:
-    """Work in a directory with a bone, points and a bag."""
-    monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path / 'cache'))
-    monkeypatch.chdir(tmp_path)
-    trimesh.Trimesh(1e3 * field.vertices, field.faces).export('bone.ply')
-    np.savetxt('points.csv', 1e3 * points, delimiter=',', header='x,y,z', comments='')
-    (tmp_path / 'start.json').write_text(json.dumps({'T_tracker_bone': T_TRACKER_BONE.tolist()}))
-    with BagWriter(tmp_path / 'run') as bag:
-        for i, point in enumerate(points):
-            bag.write_point('/probe/tip', 1.7e9 + i, point, 'camera')
-    return tmp_path
-
-
-def test_register_and_replay_write_the_report(job: Path) -> None:
-    assert main(['register', 'bone.ply', 'points.csv', '--unit', 'mm', '--initial', 'start.json',
-                 '--report', 'a.html']) == 0
-    assert main(['replay', 'run', '--model', 'bone.ply', '--initial', 'start.json',
-                 '--report', 'b.html']) == 0
-    a, b = (text_of((job / name).read_text()) for name in ('a.html', 'b.html'))
-    assert 'Registered' in a and 'bone.ply from points.csv' in a
-    assert 'Registered' in b and 'bone.ply from run' in b and 'frame of the points camera' in b
-    assert len(re.findall(r'SHA-256 [0-9a-f]{64} ', a)) == 2
-    assert main(['register', 'bone.ply', 'points.csv', '--unit', 'm', '--report', 'c.html']) == 1
-    assert main(['replay', 'run', '--model', 'bone.ply', '--model-unit', 'm',
-                 '--report', 'd.html']) == 1
-    for name in ('c.html', 'd.html'):
-        assert 'Refused: wrong_unit' in text_of((job / name).read_text())
-
-
-def test_a_report_of_two_recordings_is_refused(
-        job: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['replay', 'run', 'run', '--model', 'bone.ply', '--report', 'a.html']) == 2
-    assert capsys.readouterr().err.startswith('gsdf: error: --report describes one recording')
-    assert not (job / 'a.html').exists()
-
-
-def test_without_plotly_the_error_says_what_to_install(job: Path) -> None:
-    code = ('import sys; sys.modules["plotly"] = None; '
-            'from gsdf_registration.cli.main import main; sys.exit(main(sys.argv[1:]))')
-    command = ['register', 'bone.ply', 'points.csv', '--unit', 'mm', '--initial', 'start.json']
-    root = Path(__file__).parents[2]
-    asked, unasked = (subprocess.run(
-        [sys.executable, '-c', code, *command, *more], capture_output=True, text=True,
-        env={**os.environ, 'PYTHONPATH': str(root)}) for more in (['--report', 'a.html'], []))
-    assert (asked.returncode, asked.stdout) == (2, '')
-    assert asked.stderr == ('gsdf: error: a report needs plotly, which is not installed: '
-                            "pip install 'gsdf_registration[report]'\n")
-    assert unasked.returncode == 0, unasked.stderr
