@@ -31,7 +31,7 @@ FEWEST = 10             # poses for an answer
 # share of the poses that must agree: anywhere, or in one part of which nearly all agree
 SHARE, PART_SHARE, WITHIN_PART = 0.3, 0.15, 0.7
 TRIPLES = 500           # hypotheses of the consensus, half of them from a quarter of the recording
-SCORED = 1000           # poses each hypothesis is scored on
+SCORED = 300            # poses each hypothesis is scored on
 GATE = 5.0              # standard deviations; a longer residual is an outlier
 STEP = 4.0              # standard deviations; a larger step of the residuals is a slip
 PART = 0.05             # share of the poses; a slip leaves at least so many on both sides
@@ -164,13 +164,16 @@ def find_fixed_point(T_tracker_body: ArrayLike, stamps: ArrayLike | None,
 
     """
     T, times = _checked(T_tracker_body, stamps)
-    rejected = {'not_finite': 0, 'not_rigid': 0, 'elsewhere': 0, 'outlier': 0}
+    rejected = dict.fromkeys(('not_finite', 'not_rigid', 'repeated', 'elsewhere', 'outlier'), 0)
     finite = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(times)
     valid = finite & _rigid(T)
     rejected['not_finite'] = int((~finite).sum())
     rejected['not_rigid'] = int((finite & ~valid).sum())
     order = np.flatnonzero(valid)
     order = order[np.argsort(times[order], kind='stable')]
+    fresh = _fresh(T[order])
+    rejected['repeated'] = int((~fresh).sum())
+    order = order[fresh]
     if len(order) < FEWEST:
         return FixedPoint(
             PivotReason.TOO_FEW_POSES,
@@ -275,6 +278,13 @@ def _rigid(T: Array) -> NDArray[np.bool_]:
         last = np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1, initial=0.0)
         near = np.abs(T[:, :3, 3]).max(axis=1, initial=0.0) < MAX_COORDINATE
         return np.asarray((skewed <= NOT_RIGID) & proper & (last <= NOT_RIGID) & near)
+
+
+def _fresh(T: Array) -> NDArray[np.bool_]:
+    """Return which poses (n, 4, 4) are not the one before again: a repetition is no reading."""
+    fresh = np.ones(len(T), dtype=bool)
+    fresh[1:] = (T[1:] != T[:-1]).any(axis=(1, 2))
+    return fresh
 
 
 def _nearest_rotations(R: Array) -> Array:
@@ -399,28 +409,34 @@ def _largest_step(poses: _Poses, fewest: int) -> tuple[int, float, float]:
     Return where the place of the point changes most, by how much, and the noise per axis, m.
 
     For each possible row, one point and two places are fitted by least squares: one place before
-    the row and one from it on.
+    the row and one from it on.  The best of some 100 rows is refined among its neighbours.
     """
-    n = len(poses)
-    at = np.unique(np.linspace(fewest, n - fewest, 200).astype(int))
+    last = len(poses) - fewest
+    rows = np.unique(np.linspace(fewest, last, 100).astype(int))
+    spacing = int(np.diff(rows).max(initial=1))
+    sums = np.cumsum(poses.R, axis=0), np.cumsum(poses.p, axis=0)
     turned = np.einsum('nij,ni->j', poses.R, poses.p)
-    cumulated_R, cumulated_p = np.cumsum(poses.R, axis=0), np.cumsum(poses.p, axis=0)
-    best = (0, 0.0, np.inf)
-    for i in at.tolist():
-        R1, p1 = cumulated_R[i - 1] / i, cumulated_p[i - 1] / i
-        R2 = (cumulated_R[-1] - cumulated_R[i - 1]) / (n - i)
-        p2 = (cumulated_p[-1] - cumulated_p[i - 1]) / (n - i)
-        M = n * np.eye(3) - i * R1.T @ R1 - (n - i) * R2.T @ R2
-        rhs = i * R1.T @ p1 + (n - i) * R2.T @ p2 - turned
-        point = np.linalg.lstsq(M, rhs, rcond=1e-9)[0]
-        c1, c2 = R1 @ point + p1, R2 @ point + p2
-        places = poses.places(point)
-        places[:i] -= c1
-        places[i:] -= c2
-        sigma = float(np.sqrt((places**2).sum() / (3 * n)))
-        if sigma < best[2]:
-            best = i, float(np.linalg.norm(c2 - c1)), sigma
-    return best
+    row = min(rows.tolist(), key=lambda i: _two_places(poses, i, sums, turned)[1])
+    near = range(max(row - spacing, fewest), min(row + spacing, last) + 1)
+    row = min(near, key=lambda i: _two_places(poses, i, sums, turned)[1])
+    step, sigma = _two_places(poses, row, sums, turned)
+    return row, step, sigma
+
+
+def _two_places(poses: _Poses, i: int, sums: tuple[Array, Array],
+                turned: Array) -> tuple[float, float]:
+    """Return the distance of two places, before row ``i`` and from it on, and the noise, m."""
+    n = len(poses)
+    R1, p1 = (each[i - 1] / i for each in sums)
+    R2, p2 = ((each[-1] - each[i - 1]) / (n - i) for each in sums)
+    M = n * np.eye(3) - i * R1.T @ R1 - (n - i) * R2.T @ R2
+    rhs = i * R1.T @ p1 + (n - i) * R2.T @ p2 - turned
+    point = np.linalg.lstsq(M, rhs, rcond=1e-9)[0]
+    c1, c2 = R1 @ point + p1, R2 @ point + p2
+    residuals = poses.places(point)
+    residuals[:i] -= c1
+    residuals[i:] -= c2
+    return float(np.linalg.norm(c2 - c1)), float(np.sqrt((residuals**2).sum() / (3 * n)))
 
 
 def _without_outliers(poses: _Poses, part: NDArray[np.bool_], task: Task) -> NDArray[np.bool_]:
