@@ -9,12 +9,11 @@ Usage: ``python benchmarks/make_fixtures.py [DIRECTORY]`` (default: bags/ of thi
 
 from __future__ import annotations
 
-import argparse
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
-from gsdf_registration.cli import simulate
 from gsdf_registration.simulation.bones import bone_landmarks, bone_mesh
 
 BAGS = Path(__file__).resolve().parent.parent / 'bags'
@@ -39,11 +38,10 @@ def make(directory: Path) -> None:
         shutil.rmtree(directory / bag, ignore_errors=True)
         options = [f'--landmark={mark}=' + ','.join(f'{value:.2f}' for value in place)
                    for mark, place in landmarks[name].items()]
-        parser = argparse.ArgumentParser()
-        simulate.add_parser(parser.add_subparsers())
-        simulate.run(parser.parse_args([
-            'simulate', str(directory / f'{name}.ply'), *arguments.split(), *options, '-o',
-            str(directory / bag)]))
+        command = [sys.executable, '-m', 'gsdf_registration', 'simulate',
+                   str(directory / f'{name}.ply'), *arguments.split(), *options,
+                   '-o', str(directory / bag)]
+        subprocess.run(command, check=True)
 
 
 if __name__ == '__main__':

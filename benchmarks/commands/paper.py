@@ -122,7 +122,7 @@ def matching(text: str, known: Sequence[str] | dict[str, Any], what: str) -> lis
     words = text.split(',')
     for word in words:
         if not any(fnmatchcase(name, word) for name in known):
-            raise InputError(f'{what} "{word}" is not known; choose one of {", ".join(known)}')
+            raise InputError(f'{what} "{word}" is unknown; choose one of {", ".join(known)}')
     return [name for name in known if any(fnmatchcase(name, word) for word in words)]
 
 

@@ -97,11 +97,11 @@ def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None
             T_bone_tracker, iterations, seconds = align(touched, rigid.inverse(guess))
             if problem == 0:
                 continue    # the first solve compiles and warms up
-            error = rigid.transform(T_bone_tracker @ T_tracker_bone,
+            offsets = rigid.transform(T_bone_tracker @ T_tracker_bone,
                                   bone.surface_points) - bone.surface_points
             rows[method].seconds.append(seconds)
             rows[method].iterations.append(iterations)
-            rows[method].squared_tre.append(float((error**2).sum(axis=1).mean()))
+            rows[method].squared_tre.append(float((offsets**2).sum(axis=1).mean()))
     one_pass = seconds_per_pass(bone, surface[near][:points])
     for method, row in rows.items():
         steps = float(np.median(row.iterations))

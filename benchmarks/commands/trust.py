@@ -87,7 +87,7 @@ def scenarios(text: str) -> list[Scenario]:
     for word in words:
         if not any(fnmatchcase(name, word) for name in SCENARIOS):
             raise InputError(
-                f'scenario "{word}" is not known; choose one of {", ".join(SCENARIOS)}')
+                f'scenario "{word}" is unknown; choose one of {", ".join(SCENARIOS)}')
     return [scenario for name, scenario in SCENARIOS.items()
             if any(fnmatchcase(name, word) for word in words)]
 

@@ -77,7 +77,7 @@ def find_cases(files: Sequence[Path], regions: Sequence[str] = ()) -> list[Case]
     """
     for region in regions:
         if region not in KIND:
-            raise InputError(f'region "{region}" is not known; choose one of {", ".join(KIND)}')
+            raise InputError(f'region "{region}" is unknown; choose one of {", ".join(KIND)}')
     return [Case(str(file), region) for file in files for region in regions or _regions(file)]
 
 

@@ -243,7 +243,7 @@ def _interference(args: argparse.Namespace) -> Interference:
         kind, _, share = word.partition(':')
         if kind not in STRUCTURED:
             raise InputError(
-                f'--interference: "{kind}" is not known; choose one of {", ".join(STRUCTURED)}')
+                f'--interference: "{kind}" is unknown; choose one of {", ".join(STRUCTURED)}')
         shares[kind] = float(_numbers(share, 1, f'--interference {kind}')[0])
     return Interference(**shares)
 

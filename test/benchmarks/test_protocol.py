@@ -51,7 +51,7 @@ def test_regions_from_the_shape_or_as_given(hip_bone: Path, femur_bone: Path,
     assert [case.region for case in find_cases(files)] == ['acetabulum', 'proximal_femur',
                                                            'condyles']
     assert [case.region for case in find_cases(files, ['condyles'])] == 2 * ['condyles']
-    with pytest.raises(InputError, match='region "skull" is not known'):
+    with pytest.raises(InputError, match='region "skull" is unknown'):
         find_cases(files, ['skull'])
 
 

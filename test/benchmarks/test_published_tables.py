@@ -180,7 +180,7 @@ def test_plots_contain_every_method_with_several_levels() -> None:
 def test_rejects_unknown_names(option: str, value: str, tmp_path: Path,
                                    capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['paper', option, value, '--output', str(tmp_path / 'new')]) == 2
-    assert f'"{value}" is not known; choose one of' in capsys.readouterr().err
+    assert f'"{value}" is unknown; choose one of' in capsys.readouterr().err
 
 
 def test_writes_its_files_and_continues_a_run(

@@ -75,7 +75,7 @@ def test_weighted_least_squares_reaches_the_bound(femur_bone: Path, scenario: st
     bound, rng = cramer_rao(made), np.random.default_rng(1)
     x = made.touched
     _, n = made.field.sample(x)
-    J = np.hstack([np.cross(x - bound.centre, n), n])
+    J = np.hstack([np.cross(x - bound.centroid, n), n])
     R = made.recording.T_tracker_bone[:3, :3].T
     noise = (rng.normal(size=(4000, len(x), 3)) * made.trial.scenario.sigma) @ R.T
     e = (noise * n).sum(axis=2)
@@ -99,8 +99,8 @@ def test_bound_is_independent_of_the_frame(clean: Problem) -> None:
     here = cramer_rao(clean)
     assert here.predicted_tre(clean.touched).mean() < 3e-4
     far = cramer_rao(problem(Path(clean.trial.case.bone), 'uniform_90'))
-    assert 0.5 < far.predicted_tre(far.centre[None])[0] / here.predicted_tre(
-        here.centre[None])[0] < 2.0
+    assert 0.5 < far.predicted_tre(far.centroid[None])[0] / here.predicted_tre(
+        here.centroid[None])[0] < 2.0
 
 
 @pytest.mark.parametrize('tre, predicted, wrong', [
@@ -136,7 +136,7 @@ def test_probability_that_an_ideal_estimator_is_wrong(clean: Problem) -> None:
     for times in (1.0, 4.0, 8.0):
         worse = replace(bound, motion_covariance=times**2 * bound.motion_covariance)
         e = rng.multivariate_normal(np.zeros(6), worse.motion_covariance, 20_000)
-        tre = np.sqrt(((motion_at(surface - worse.centre) @ e.T) ** 2).sum(axis=1).mean(axis=0))
+        tre = np.sqrt(((motion_at(surface - worse.centroid) @ e.T) ** 2).sum(axis=1).mean(axis=0))
         predicted = float(np.sqrt(np.mean(tre**2)))
         wrong = np.mean([is_wrong(clean, t, predicted) for t in tre])
         assert ideal_wrong(clean, worse) == pytest.approx(wrong, abs=0.015)

@@ -132,10 +132,10 @@ def test_prints_one_trial(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.usefixtures('shipped')
 @pytest.mark.parametrize('options, sentence', [
-    (['--scenarios', 'gremlins'], '"gremlins" is not known'),
+    (['--scenarios', 'gremlins'], '"gremlins" is unknown'),
     (['--scenarios', 'other_person'], 'not possible with these bones'),
     (['--trials', '0'], 'argument --trials: must be 1 or more'),
-    (['--regions', 'skull'], '"skull" is not known'),
+    (['--regions', 'skull'], '"skull" is unknown'),
     (['--only', 'femur/condyles/clean'], 'give BONE/REGION/SCENARIO/SEED'),
     (['--only', 'femur/skull/clean/1'], 'give BONE/REGION/SCENARIO/SEED'),
     (['--only', 'femur/condyles/cup_only/1'], 'not possible with this bone'),

@@ -23,10 +23,7 @@ from gsdf_registration.common.config import Config  # noqa: E402
 from gsdf_registration.common.rigid import Array, transform  # noqa: E402
 from gsdf_registration.field.model import load_model  # noqa: E402
 from gsdf_registration.session.replay import replay  # noqa: E402
-from gsdf_registration.visualization import (
-    colours,  # noqa: E402
-    picture,  # noqa: E402
-)
+from gsdf_registration.visualization import colours, picture  # noqa: E402
 from msg_adapters.bag import read_bag  # noqa: E402
 from msg_adapters.session_file import write_session  # noqa: E402
 
@@ -105,7 +102,7 @@ def test_draws_the_next_touch_of_an_ambiguous_pose(
     positions = read_bag(bags / 'hip_optical', ['/probe/tip']).positions[:120]
     np.savetxt('begun.csv', positions, delimiter=',', header='x,y,z', comments='')
     assert main(['show', 'begun.csv', '--unit', 'm', '--model', str(hip_bone)]) == 1
-    assert ', where they differ most' in capsys.readouterr().out
+    assert ', where the poses differ most' in capsys.readouterr().out
     image = shown('scene.png')
     assert has_colour(image, colours.NEXT).sum() > 200
     assert has_colour(image, colours.RESIDUAL[0]).sum() == 0      # the pose is not known

@@ -88,7 +88,7 @@ def test_registers_a_moving_patient_in_the_frame_of_the_array(
 @pytest.mark.parametrize('options, sentence', [
     (['--move', '20'], '--move must be 2 numbers'),
     (['--move', '20,-1'], '--move must not be negative'),
-    (['--interference', 'gremlins:0.1'], '"gremlins" is not known'),
+    (['--interference', 'gremlins:0.1'], '"gremlins" is unknown'),
     (['--interference', 'resting:lots'], '--interference resting must be 1 number'),
     (['--outliers', '1.0'], 'shares of interference'),
     (['--sigma', '0.1,0.2'], '--sigma must be 3 numbers'),
@@ -100,7 +100,7 @@ def test_registers_a_moving_patient_in_the_frame_of_the_array(
     (['--landmark', 'here'], '--landmark here must be 3 numbers'),
     (['--region', '1,2,3'], '--region must be 4 numbers'),
     (['--region', '900,0,0,10'], 'the region has too little bone'),
-    (['--region', 'skull'], 'is not known'),
+    (['--region', 'skull'], 'is unknown'),
     (['--model-unit', 'm'], 'unit'),
 ])
 def test_reports_errors_in_one_line(hip_bone: Path, tmp_path: Path,
