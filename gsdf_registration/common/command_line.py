@@ -12,6 +12,7 @@ import difflib
 import importlib.util
 import logging
 import os
+import re
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -41,8 +42,14 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def _continued(line: str, width: int) -> str:
-    """Return a long shell command in several lines, each but the last with a backslash."""
-    return ' \\\n      '.join(_wrapped(line, width - 8))
+    """Return a long shell command on several lines, broken before options."""
+    lines = ['']
+    for part in re.split(' (?=-)', line):
+        if lines[-1] and len(lines[-1]) + len(part) > width - 8:
+            lines.append(f'      {part}')
+        else:
+            lines[-1] += f' {part}' if lines[-1] else part
+    return ' \\\n'.join(lines)
 
 
 class Parser(argparse.ArgumentParser):
