@@ -46,7 +46,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'model',
             default_value='',
-            description='bone model, a path or package:// URI; empty: model.path of the parameter file'),
+            description='bone model, a path or package:// URI; empty: model.path of the parameter '
+                        'file'),
         DeclareLaunchArgument(
             'config',
             default_value=PathJoinSubstitution([SHARE, 'config', 'registration.yaml']),
@@ -54,9 +55,11 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('bag', default_value='',
                               description='rosbag2 recording to play; empty: none'),
         DeclareLaunchArgument('rviz', default_value='false',
-                              description='true: start RViz with the bone, the points and where to touch next'),
+                              description='true: start RViz with the bone, the points and the next '
+                                          'places to touch'),
         DeclareLaunchArgument('log_level', default_value='info',
-                              description='log level of the node: debug, info, warn, error or fatal'),
+                              description='log level of the node: debug, info, warn, error or '
+                                          'fatal'),
         OpaqueFunction(function=start),
         Node(package='rviz2', executable='rviz2', name='rviz',
              arguments=['-d', PathJoinSubstitution([SHARE, 'config', 'registration.rviz'])],

@@ -174,7 +174,7 @@ def test_plays_a_bag_once_the_node_is_active(description: Description) -> None:
     _, (_, player) = actions_of(description, bag="a 'quoted' bag")
     command, = player.cmd
     assert player.shell
-    assert player.name == 'player'      # else the whole command would prefix each line of its output
+    assert player.name == 'player'      # or each line of its output would begin with the command
     assert command.startswith('until ros2 lifecycle get /registration')
     assert command.endswith("""exec ros2 bag play 'a '"'"'quoted'"'"' bag'""")
 
