@@ -83,6 +83,7 @@ class Inputs:
         """
         def take_all(message: Any, info: dict[str, Any]) -> None:
             callback(message, info)
+            # rclpy has no other way to take a message; rclpy.wait_for_message does the same
             for _ in range(MAX_BATCH):
                 waiting = subscription.handle.take_message(kind, False)
                 if waiting is None:
