@@ -103,7 +103,7 @@ class Collection:
         self.collecting = False
 
     def undo(self) -> Stroke | None:
-        """Drop the stroke begun last and return it; None if there is none."""
+        """Drop the stroke started last and return it; None if there is none."""
         if not self._strokes:
             return None
         last = self._strokes[max(self._strokes)]

@@ -108,7 +108,7 @@ class Session:
 
     def undo(self) -> Answer:
         """
-        Drop the stroke begun last; the accepted registration stays until the next one.
+        Drop the stroke started last; the accepted registration stays until the next one.
 
         A stroke that was split automatically is dropped part by part, and the answer says so.
         """

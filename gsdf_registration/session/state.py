@@ -108,7 +108,7 @@ class SessionState:
         self._report('collecting', on)
 
     def undo(self) -> Stroke | None:
-        """Drop the stroke begun last and return it."""
+        """Drop the stroke started last and return it."""
         dropped = self.collection.undo()
         if dropped is not None:
             self.revision += 1

@@ -235,13 +235,13 @@ def test_status_says_why_points_are_rejected(field: Field) -> None:
 
 
 def test_restart_clears_and_reports_why(field: Field) -> None:
-    session, heard = registered(field), []
-    session.listen(lambda event, value: heard.append((event, value)))
+    session, reported = registered(field), []
+    session.listen(lambda event, value: reported.append((event, value)))
     session.restart('the clock went back by 3.0 s')
     status = session.status()
     assert (status.kept, status.landmarks) == (0, 0) and status.pose_result is not None
     assert status.notice == 'a new session was started: the clock went back by 3.0 s'
-    assert ('clear', 'the clock went back by 3.0 s') in heard
+    assert ('clear', 'the clock went back by 3.0 s') in reported
 
 
 def test_every_listener_receives_the_changes_until_it_stops(field: Field) -> None:

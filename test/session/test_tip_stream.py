@@ -49,8 +49,8 @@ def test_moderate_speed_and_short_jerks_do_not_split() -> None:
 
 def test_a_pause_is_not_a_lift_off() -> None:
     drag = lift_off(200, 0, 0.0, speed=0.03)
-    rest = np.random.default_rng(1).normal(drag[199], 1e-4, (800, 3))
-    assert set(strokes_of(np.vstack([drag[:200], rest, drag[200:]]))) == {1}
+    pause = np.random.default_rng(1).normal(drag[199], 1e-4, (800, 3))
+    assert set(strokes_of(np.vstack([drag[:200], pause, drag[200:]]))) == {1}
 
 
 def test_detects_lift_off_after_fast_motion_in_the_air() -> None:

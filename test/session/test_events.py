@@ -64,7 +64,7 @@ def registers(points: np.ndarray, *_: Any, **__: Any) -> RegistrationResult:
                               residuals_m=residuals, weights=np.isfinite(residuals).astype(float))
 
 
-ACTS = ['drag', 'drag', 'drag', 'rest', 'rest', 'landmark', 'verify', 'register', 'register',
+ACTS = ['drag', 'drag', 'drag', 'hold', 'hold', 'landmark', 'verify', 'register', 'register',
         'undo', 'clear', 'start', 'end', 'other probe', 'bad', 'load', 'model']
 
 
@@ -75,7 +75,7 @@ def act(session: Session, what: str, at: dict[str, float], saved: list[Any], fie
             at['x'] += step
             session.add(sample(at['t'], (at['x'], np.sin(30.0 * at['x']), -1.0), frame, topic))
     acts = {
-        'drag': lambda: send(7, 0.0003), 'rest': lambda: send(9, 1e-6),
+        'drag': lambda: send(7, 0.0003), 'hold': lambda: send(9, 1e-6),
         'landmark': session.capture_landmark, 'verify': session.verify,
         'register': session.register, 'undo': session.undo, 'clear': session.clear,
         'start': lambda: session.collect(True), 'end': lambda: session.collect(False),
@@ -112,7 +112,7 @@ def test_events_reproduce_a_change_of_the_bone(
     session, follower = Session(CONFIG), Follower()
     session.listen(follower)
     at: dict[str, float] = {'t': 0.0, 'x': 0.0}
-    for what in ('rest', 'landmark', 'drag', 'drag'):
+    for what in ('hold', 'landmark', 'drag', 'drag'):
         act(session, what, at, [], field)
     assert follower.replay.session['model_sha256'] is None
     session.set_model(field)
