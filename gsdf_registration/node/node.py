@@ -228,7 +228,7 @@ class RegistrationNode(LifecycleNode):
         return other
 
     def _start_live(self) -> None:
-        """Start the live registration anew, if it is enabled and there is a bone."""
+        """Start or restart the live registration, if it is enabled and there is a bone."""
         self._stop_live()
         session, outputs = self.session, self._outputs
         if session.config.live.enabled and self.field is not None and outputs is not None:

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The status message combines the session with the live registration."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from gsdf_registration.common.config import Config  # noqa: E402
+from gsdf_registration.common.result import Reason, RegistrationResult  # noqa: E402
+from gsdf_registration.live import LiveStatus  # noqa: E402
+from gsdf_registration.node.status import (  # noqa: E402
+    combined_status,
+    pose_kept,
+    sentence,
+    status_message,
+)
+from gsdf_registration.registration.stroke_report import StrokeReport  # noqa: E402
+from gsdf_registration.session import Session  # noqa: E402
+from gsdf_registration.session.status import Status  # noqa: E402
+
+READY = LiveStatus(ready=True, message='enough points: register now')
+FEW = LiveStatus(message='drag the probe', reason=Reason.TOO_FEW_POINTS)
+LOOSE = LiveStatus(message='touch the bone', reason=Reason.UNDER_CONSTRAINED)
+ACCEPTED = RegistrationResult(Reason.CONVERGED, 'registered')
+
+
+def status(**values: object) -> Status:
+    """Return the status of a new session with a bone, with other values."""
+    known = vars(Session(Config()).status()) | {'state': 'collecting', 'message': 'collecting'}
+    return Status(**known | values)
+
+
+def test_is_ready_once_the_points_suffice() -> None:
+    combined = combined_status(status(notice='resumed'), READY)
+    assert combined.state == 'ready'
+    assert combined.message == 'enough points: register now; resumed'
+
+
+@pytest.mark.parametrize('state', ['no_model', 'solving', 'registered'])
+def test_other_states_come_before_ready(state: str) -> None:
+    before = status(state=state)
+    assert combined_status(before, READY) == before
+
+
+def test_is_not_ready_while_a_registration_is_accepted() -> None:
+    combined = combined_status(status(pose_result=ACCEPTED), READY)
+    assert (combined.state, combined.message) == ('collecting', 'collecting')
+    assert combined_status(status(pose_result=ACCEPTED, outdated=True), READY).state == 'ready'
+
+
+def test_appends_what_is_missing() -> None:
+    assert combined_status(status(), LOOSE).message == 'collecting; touch the bone'
+    assert combined_status(status(), FEW).message == 'collecting; drag the probe'
+
+
+def test_asks_for_landmarks_before_strokes() -> None:
+    landmarks_left = status(remaining_landmarks=('head',))
+    assert combined_status(landmarks_left, FEW).message == 'collecting'
+    assert combined_status(landmarks_left, LOOSE).message == 'collecting; touch the bone'
+
+
+def test_message_has_the_level_of_the_state_and_values_of_both() -> None:
+    live = LiveStatus(used=7, reason=Reason.AMBIGUOUS, touch_next='touch the rim',
+                      predicted_tre_m={'rms': 0.001},
+                      stroke_reports=(StrokeReport(3, 20, 1.0, 1e-4, False),))
+    message = status_message(status(state='refused', pose_result=ACCEPTED), live, '/registration')
+    values = {pair.key: pair.value for pair in message.values}
+    assert message.message.endswith('; the accepted registration is kept')
+    assert (values['state'], values['live.points'], values['live.reason']) == (
+        'refused', '7', 'ambiguous')
+    assert values['touch_next'] == 'touch the rim'
+    assert values['live.predicted_tre_m.rms'] == '0.001000'
+    assert values['stroke.3'].startswith('stroke 3: 20 points')
+    level = message.level if isinstance(message.level, int) else message.level[0]
+    assert level == 1       # WARN
+
+
+def test_joins_parts_that_are_not_empty() -> None:
+    assert sentence('a', '', 'b') == 'a; b'
+    assert pose_kept(status()) == ''
