@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.options import add_bones_option, bones
-from benchmarks.peers.in_process import open3d, ours, small_gicp, warm
+from benchmarks.peers.in_process import Aligner, open3d, ours, small_gicp, warm
 from gsdf_registration.common.command_line import example, positive_number, whole_number
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ EXPOSED = 0.04          # m, radius of the ball that contains the points
 NOISE = 5e-4            # m, standard deviation per axis
 LANDMARK_ERROR = 4e-3   # m
 DENSITY = 2e6           # model points per square metre for the peers: 0.7 mm apart
+PEERS = {'small_gicp, point-to-plane': small_gicp, 'Open3D, plane, Tukey': open3d}
 
 
 @dataclass
@@ -73,22 +74,34 @@ def run(args: argparse.Namespace) -> int:
 
 def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None:
     """Print the rows of one bone."""
-    import numpy as np
-
-    from gsdf_registration.common import rigid
-
     surface, normals = sampled(bone, seed)
     near = best_patch(surface, normals, seed)
     methods = {'gradient-SDF, paper': ours(bone, 'paper'),
                'gradient-SDF, mixture': ours(bone, 'mixture'),
                'gradient-SDF, mixture, warm': warm(bone)}
     missing: dict[str, str] = {}
-    for peer, prepare in (('small_gicp, point-to-plane', small_gicp), ('Open3D, plane, Tukey',
-                                                                       open3d)):
+    for peer, prepare in PEERS.items():
         try:
             methods[peer] = prepare(surface, normals)
         except (ImportError, OSError) as error:
             missing[peer] = str(error).splitlines()[0]
+    rows = solve_all(methods, bone, surface, near, points, solves, seed)
+    one_pass = seconds_per_pass(bone, surface[near][:points])
+    for method, row in rows.items():
+        show(name, method, row, one_pass)
+    for method, reason in missing.items():
+        print(f'{name:<20}{method:<30}not measured: {reason}')
+    print(f'{"":<20}one pass: {1e6 * one_pass:.0f} us when the field is in the CPU caches, '
+          f'{1e9 * one_pass / points:.0f} ns per sample\n')
+
+
+def solve_all(methods: dict[str, Aligner], bone: Field, surface: Array, near: np.ndarray,
+              points: int, solves: int, seed: int) -> dict[str, Row]:
+    """Return the row of each method after the same problems, of which a first one is a warm-up."""
+    import numpy as np
+
+    from gsdf_registration.common import rigid
+
     rows = {method: Row() for method in methods}
     rng = np.random.default_rng(seed)
     for problem in range(solves + 1):
@@ -97,27 +110,28 @@ def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None
             T_bone_tracker, iterations, seconds = align(touched, rigid.inverse(guess))
             if problem == 0:
                 continue    # the first solve compiles and warms up
-            offsets = rigid.transform(T_bone_tracker @ T_tracker_bone,
+            tre = rigid.transform(T_bone_tracker @ T_tracker_bone,
                                   bone.surface_points) - bone.surface_points
             rows[method].seconds.append(seconds)
             rows[method].iterations.append(iterations)
-            rows[method].squared_tre.append(float((offsets**2).sum(axis=1).mean()))
-    one_pass = seconds_per_pass(bone, surface[near][:points])
-    for method, row in rows.items():
-        steps = float(np.median(row.iterations))
-        median, p95 = 1e3 * np.percentile(row.seconds, [50.0, 95.0])
-        print(f'{name:<20}{method:<30}{median:>10.2f}{p95:>10.2f}'
-              f'{"-" if np.isnan(steps) else f"{steps:.0f}":>12}'
-              f'{1e3 * np.sqrt(np.mean(row.squared_tre)):>12.2f}')
-        if method in ('gradient-SDF, paper', 'gradient-SDF, mixture, warm'):
-            # the published method samples once more at its end
-            passes = steps + method.endswith('paper')
-            limit = f'  lower limit, {passes:.0f} passes'
-            print(f'{"":<20}{limit:<30}{1e3 * passes * one_pass:>10.2f}')
-    for method, reason in missing.items():
-        print(f'{name:<20}{method:<30}not measured: {reason}')
-    print(f'{"":<20}one pass: {1e6 * one_pass:.0f} us when the field is in the CPU caches, '
-          f'{1e9 * one_pass / points:.0f} ns per sample\n')
+            rows[method].squared_tre.append(float((tre**2).sum(axis=1).mean()))
+    return rows
+
+
+def show(name: str, method: str, row: Row, one_pass: float) -> None:
+    """Print the row of a method, and the lower limit of its time; ``one_pass`` in s."""
+    import numpy as np
+
+    steps = float(np.median(row.iterations))
+    median, p95 = 1e3 * np.percentile(row.seconds, [50.0, 95.0])
+    print(f'{name:<20}{method:<30}{median:>10.2f}{p95:>10.2f}'
+          f'{"-" if np.isnan(steps) else f"{steps:.0f}":>12}'
+          f'{1e3 * np.sqrt(np.mean(row.squared_tre)):>12.2f}')
+    if method in ('gradient-SDF, paper', 'gradient-SDF, mixture, warm'):
+        # the published method samples once more at its end
+        passes = steps + method.endswith('paper')
+        limit = f'  lower limit, {passes:.0f} passes'
+        print(f'{"":<20}{limit:<30}{1e3 * passes * one_pass:>10.2f}')
 
 
 def sampled(bone: Field, seed: int) -> tuple[Array, Array]:

@@ -49,7 +49,7 @@ def moved(patch: Patch, T: Array) -> Patch:
 
 
 def with_model_error(recording: SimulatedRecording, field: Field,
-                  rng: np.random.Generator) -> SimulatedRecording:
+                     rng: np.random.Generator) -> SimulatedRecording:
     """
     Return a recording of a bone that deviates smoothly from its model, along the normals.
 
@@ -74,7 +74,7 @@ def other_object(rng: np.random.Generator) -> Patch:
 
 
 def only_noise(bounds: Array, count: int, tracker: Tracker, T_tracker_bone: Array,
-              rng: np.random.Generator) -> SimulatedRecording:
+               rng: np.random.Generator) -> SimulatedRecording:
     """Return ``count`` samples, uniform in the box ``bounds`` (2, 3), m, enlarged by 20 %."""
     middle, half = bounds.mean(axis=0), 0.6 * np.ptp(bounds, axis=0)
     tips = middle + rng.uniform(-1.0, 1.0, (count, 3)) * half

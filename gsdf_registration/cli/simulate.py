@@ -44,107 +44,95 @@ def add_parser(subparsers: Any) -> None:
         '(mcap), the ground truth a YAML file of the same name. The same arguments give the same '
         'bytes.',
         **example(*EXAMPLES))
-    parser.add_argument('model', metavar='MODEL', help='mesh of the bone (STL, PLY, OBJ, OFF)')
-    parser.add_argument(
-        '--region',
-        required=True,
-        metavar='NAME|X,Y,Z,RADIUS',
+    add = parser.add_argument
+    add('model', metavar='MODEL', help='mesh of the bone (STL, PLY, OBJ, OFF)')
+    add('--region', required=True, metavar='NAME|X,Y,Z,RADIUS',
         help=f'the exposed area: {", ".join(REGIONS)}, or a ball in units of the model')
-    parser.add_argument('-o',
-                        '--output',
-                        required=True,
-                        metavar='BAG',
-                        help='directory of the new bag')
-    parser.add_argument('--model-unit',
-                        choices=('mm', 'm'),
-                        default='mm',
-                        help='unit of the lengths in MODEL (default: %(default)s)')
-    parser.add_argument(
-        '--points',
-        type=whole_number,
-        default=600,
-        metavar='N',
+    add('-o', '--output', required=True, metavar='BAG', help='directory of the new bag')
+    add('--model-unit', choices=('mm', 'm'), default='mm',
+        help='unit of the lengths in MODEL (default: %(default)s)')
+    add('--points', type=whole_number, default=600, metavar='N',
         help='samples on the bone, without interference (default: %(default)s)')
-    parser.add_argument('--rate',
-                        type=number,
-                        default=80.0,
-                        metavar='HZ',
-                        help='sampling rate of the tracker (default: %(default)s)')
-    parser.add_argument('--speed', type=number, default=27.0, metavar='MM/S',
-                        help='median speed of the tip (default: %(default)s)')
-    parser.add_argument('--sigma', default='0.15', metavar='MM|X,Y,Z',
-                        help='noise per axis of the tracker (default: %(default)s)')
-    parser.add_argument(
-        '--distortion',
-        type=number,
-        default=0.0,
-        metavar='MM',
+    add('--rate', type=number, default=80.0, metavar='HZ',
+        help='sampling rate of the tracker (default: %(default)s)')
+    add('--speed', type=number, default=27.0, metavar='MM/S',
+        help='median speed of the tip (default: %(default)s)')
+    add('--sigma', default='0.15', metavar='MM|X,Y,Z',
+        help='noise per axis of the tracker (default: %(default)s)')
+    add('--distortion', type=number, default=0.0, metavar='MM',
         help='smooth distortion (RMS), as of an electromagnetic tracker (default: none)')
-    parser.add_argument(
-        '--outliers',
-        type=number,
-        default=0.0,
-        metavar='SHARE',
+    add('--outliers', type=number, default=0.0, metavar='SHARE',
         help='share of outliers, uniform in the bounding box of the model (default: none)')
-    parser.add_argument('--interference', default='', metavar='KIND:SHARE,...',
-                        help='share of each kind: soft_tissue, lift_off, other_object, resting')
-    parser.add_argument(
-        '--dropouts',
-        type=number,
-        default=0.0,
-        metavar='SHARE',
-        help='share of the samples on the bone that the tracker does not report '
-        '(default: none)')
-    parser.add_argument(
-        '--landmark',
-        action='append',
-        default=[],
-        metavar='NAME=X,Y,Z',
+    add('--interference', default='', metavar='KIND:SHARE,...',
+        help='share of each kind: soft_tissue, lift_off, other_object, resting')
+    add('--dropouts', type=number, default=0.0, metavar='SHARE',
+        help='share of the samples on the bone that the tracker does not report (default: none)')
+    add('--landmark', action='append', default=[], metavar='NAME=X,Y,Z',
         help='a model point that is touched first, with an error of 2 to 4 mm; may be repeated')
-    parser.add_argument(
-        '--move', default='', metavar='MM/S,DEG/S',
+    add('--move', default='', metavar='MM/S,DEG/S',
         help='speed at which the patient moves and turns; adds a reference array with poses on '
         f'{ARRAY_TOPIC}, and the ground truth is in its frame (default: no motion, no array)')
-    parser.add_argument('--frame-id', default='tracker', metavar='FRAME',
-                        help='frame of the points (default: %(default)s)')
-    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
-                        help='of the random numbers (default: %(default)s)')
+    add('--frame-id', default='tracker', metavar='FRAME',
+        help='frame of the points (default: %(default)s)')
+    add('--seed', type=whole_number, default=0, metavar='N',
+        help='of the random numbers (default: %(default)s)')
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, write bag and ground truth, print a summary."""
+    from gsdf_registration.common.rigid import transform
+    from msg_adapters.truth import truth_path
+
+    patch = _patch(args)
+    names, places = _landmarks(args)
+    touched, recording = _simulate(args, patch, places)
+    sway = _sway(args, transform(recording.T_tracker_bone, patch.centre))
+    _write_bag(args, touched, recording, sway)
+    _write_truth(args, touched, recording, sway, names, places)
+    print(f'{args.output}: {len(recording.stamps)} points in {recording.stamps[-1]:.1f} s, '
+          f'{int(recording.on_bone.sum())} of them on the bone, '
+          f'{format_count(len(names), "landmark")}; ground truth in {truth_path(args.output)}')
+    return 0
+
+
+def _simulate(args: argparse.Namespace, patch: Patch,
+              places: Array) -> tuple[SimulatedRecording, SimulatedRecording]:
+    """Return the recordings of the landmarks (k, 3), m, bone frame, and of the exposed area."""
     import numpy as np
 
-    from gsdf_registration.common.rigid import inverse, transform
     from gsdf_registration.simulation.probe import (
         Hand,
         random_pose,
         simulate_landmarks,
         simulate_scan,
     )
-    from msg_adapters.truth import Truth, truth_path, write_truth
 
-    patch = _patch(args)
     rng = np.random.default_rng(_at_least(0, args.seed, '--seed'))
-    tracker = _tracker(args)
-    names, places = _landmarks(args)
     T = random_pose(rng, translation=0.3)
     # in the middle of the tracker's volume
     T[:3, 3] += np.array([0.0, 0.0, -1.3]) - T[:3, :3] @ patch.centre
-    settings: dict[str, Any] = {'tracker': tracker, 'T_tracker_bone': T}
+    settings: dict[str, Any] = {'tracker': _tracker(args), 'T_tracker_bone': T}
+    hand = Hand(speed=_at_least(1.0, args.speed, '--speed') * 1e-3)
     touched = simulate_landmarks(places, rng, **settings)
-    recording = simulate_scan(patch,
-                _at_least(30, args.points, '--points'),
-                rng,
-                interference=_interference(args),
-                hand=Hand(speed=_at_least(1.0, args.speed, '--speed') * 1e-3),
-                **settings)
+    recording = simulate_scan(patch, _at_least(30, args.points, '--points'), rng,
+                              interference=_interference(args), hand=hand, **settings)
+    return touched, recording
+
+
+def _write_truth(args: argparse.Namespace, touched: SimulatedRecording,
+                 recording: SimulatedRecording, sway: Sway | None, names: list[str],
+                 places: Array) -> None:
+    """Write the ground truth: in the frame of the reference array if there is one."""
+    import numpy as np
+
+    from gsdf_registration.common.rigid import inverse, transform
+    from msg_adapters.truth import Truth, truth_path, write_truth
+
     means = np.array([touched.positions[touched.strokes == k].mean(axis=0)
                       for k in range(len(names))]).reshape(-1, 3)
     about = {option: getattr(args, option) for option in ABOUT}
-    frame_id, sway = args.frame_id, _sway(args, transform(T, patch.centre))
-    _write_bag(args, touched, recording, sway)
+    frame_id, T = args.frame_id, recording.T_tracker_bone
     if sway is not None:
         about['move'], frame_id = args.move, ARRAY_FRAME
         T_array_tracker = inverse(sway.T_tracker_body)
@@ -154,10 +142,6 @@ def run(args: argparse.Namespace) -> int:
         truth_path(args.output),
         Truth(_relative(args.model, args.output), args.model_unit, frame_id, T, tuple(names),
               places.round(7), means.round(7), about))
-    print(f'{args.output}: {len(recording.stamps)} points in {recording.stamps[-1]:.1f} s, '
-          f'{int(recording.on_bone.sum())} of them on the bone, '
-          f'{format_count(len(names), "landmark")}; ground truth in {truth_path(args.output)}')
-    return 0
 
 
 def _write_bag(args: argparse.Namespace, touched: SimulatedRecording,

@@ -85,7 +85,7 @@ def test_rows_of_our_own_methods(hip_bone: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('timeout, status', [(True, 'timeout'), (False, 'failed')])
 def test_row_of_a_peer_without_an_answer(hip_bone: Path, tmp_path: Path, timeout: bool,
-                                            status: str, monkeypatch: pytest.MonkeyPatch) -> None:
+                                         status: str, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
     def fails(*_: Any) -> None:
@@ -178,7 +178,7 @@ def test_plots_contain_every_method_with_several_levels() -> None:
 
 @pytest.mark.parametrize('option, value', [('--methods', 'magic'), ('--tables', 'seven')])
 def test_rejects_unknown_names(option: str, value: str, tmp_path: Path,
-                                   capsys: pytest.CaptureFixture[str]) -> None:
+                               capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['paper', option, value, '--output', str(tmp_path / 'new')]) == 2
     assert f'"{value}" is unknown; choose one of' in capsys.readouterr().err
 

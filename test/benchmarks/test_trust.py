@@ -105,7 +105,7 @@ def shipped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures('shipped')
 def test_prints_and_continues_a_run(tmp_path: Path,
-                                             capsys: pytest.CaptureFixture[str]) -> None:
+                                    capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / 'trust.tsv'
     options = ['--scenarios', 'clean,noise*', '-o', str(output)]
     assert trust('--trials', '2', *options) == 0
@@ -143,7 +143,7 @@ def test_prints_one_trial(capsys: pytest.CaptureFixture[str]) -> None:
     (['--only', 'femur/condyles/clean/-1'], 'give BONE/REGION/SCENARIO/SEED'),
     (['--bones', 'nowhere'], 'nowhere')])
 def test_reports_errors_in_one_line(capsys: pytest.CaptureFixture[str], options: list[str],
-                                   sentence: str) -> None:
+                                    sentence: str) -> None:
     assert trust(*options) == 2
     error = capsys.readouterr().err
     assert sentence in error and len(error.splitlines()) == 1

@@ -104,8 +104,8 @@ def test_registers_a_moving_patient_in_the_frame_of_the_array(
     (['--model-unit', 'm'], 'unit'),
 ])
 def test_reports_errors_in_one_line(hip_bone: Path, tmp_path: Path,
-                                   capsys: pytest.CaptureFixture[str], options: list[str],
-                                   sentence: str) -> None:
+                                    capsys: pytest.CaptureFixture[str], options: list[str],
+                                    sentence: str) -> None:
     assert simulate(hip_bone, tmp_path / 'run', *options) == 2
     error = capsys.readouterr().err
     assert sentence in error and len(error.splitlines()) == 1
@@ -113,7 +113,7 @@ def test_reports_errors_in_one_line(hip_bone: Path, tmp_path: Path,
 
 
 def test_overwrites_nothing(hip_bone: Path, tmp_path: Path,
-                                capsys: pytest.CaptureFixture[str]) -> None:
+                            capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / 'run').mkdir()
     assert simulate(hip_bone, tmp_path / 'run') == 2
     assert 'exists already' in capsys.readouterr().err
