@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from gsdf_registration.common.command_line import example, positive_number, whole_number
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.simulation.pivoting import PivotRecording
 
