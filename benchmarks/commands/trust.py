@@ -119,15 +119,15 @@ def print_trial(trial: Trial, config: Config) -> int:
 
 def show(rows: list[Row]) -> None:
     """Print the confusion table, and the names of all failures."""
-    from benchmarks.trust.trial import (
+    from benchmarks.trust.tables import (
         COLUMNS,
-        NEAR_TRUTH,
         expected_wrong,
         faulty_refusals,
         not_found,
         table,
         wrongly_accepted,
     )
+    from benchmarks.trust.trial import NEAR_TRUTH
     print('found: share of poses near the truth, refused or not; efficiency: RMS and median error '
           'of right poses\nin units of the Cramer-Rao bound; TRE and predicted: RMS over the whole '
           'bone and over right poses, mm;\nsearch, solve: median, ms, one thread\n')

@@ -28,7 +28,7 @@ STRATEGIES = {'random': '', 'guided': 'near', 'guided_bone': 'bone'}
 GOALS = {'near': 'on the bone within 100 mm of the incision', 'bone': 'over the whole bone'}
 TRACKER = Tracker(sigma=5e-4)
 STEP = Hand().speed / TRACKER.rate      # m, between samples
-BEND = 20.0             # 1/m, standard deviation of a stroke's curvature
+BEND = 20.0             # 1/m, standard deviation of the curvature of a stroke
 FIRST_STROKES = 2       # at random, before the first registration
 FIRST_POINTS = 60       # per first stroke
 FIRST_DISTANCE = 0.02   # m, maximum distance of the first strokes from their middle
@@ -112,8 +112,8 @@ class _Surgery:
         self.T_tracker_bone = random_pose(self.rng)
         R = rigid.rotation_exp(self.rng.normal(0.0, GUESS[0], 3))
         c = self.patch.centre
-        off = rigid.from_rt(R, c - R @ c + self.rng.normal(0.0, GUESS[1], 3))
-        self.guess = off @ rigid.inverse(self.T_tracker_bone)
+        error = rigid.from_rt(R, c - R @ c + self.rng.normal(0.0, GUESS[1], 3))
+        self.guess = error @ rigid.inverse(self.T_tracker_bone)
 
     def touch(self, place: Array, points: int) -> Array:
         """Return the measured points (n, 3), m, of a stroke over a place (3,), m, bone frame."""

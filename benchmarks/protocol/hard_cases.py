@@ -78,7 +78,7 @@ def only_noise(bounds: Array, count: int, tracker: Tracker, T_tracker_bone: Arra
     """Return ``count`` samples, uniform in the box ``bounds`` (2, 3), m, enlarged by 20 %."""
     middle, half = bounds.mean(axis=0), 0.6 * np.ptp(bounds, axis=0)
     tips = middle + rng.uniform(-1.0, 1.0, (count, 3)) * half
-    return SimulatedRecording(np.arange(count) / tracker.rate,
-                measure(transform(T_tracker_bone, tips), tracker, rng), tips,
-                np.full(count, Kind.UNIFORM, dtype=np.uint8), np.zeros(count, dtype=np.int32),
-                T_tracker_bone)
+    return SimulatedRecording(
+        np.arange(count) / tracker.rate, measure(transform(T_tracker_bone, tips), tracker, rng),
+        tips, np.full(count, Kind.UNIFORM, dtype=np.uint8), np.zeros(count, dtype=np.int32),
+        T_tracker_bone)

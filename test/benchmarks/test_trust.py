@@ -12,15 +12,15 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.protocol.cases import Case
 from benchmarks.protocol.trials import SCENARIOS, Problem, Trial, make
-from benchmarks.trust.trial import (
+from benchmarks.trust.tables import (
     COLUMNS,
     expected_wrong,
     faulty_refusals,
     not_found,
     table,
-    trial_row,
     wrongly_accepted,
 )
+from benchmarks.trust.trial import trial_row
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, RegistrationResult
