@@ -88,8 +88,8 @@ class Meter:
         self._operator.spin_until(
             lambda: self._counts['received'] - before['received'] >= len(measured.sent)
             or time.monotonic() > deadline, '')
-        measured.received, measured.kept = (self._counts[key] - before[key]
-                                      for key in ('received', 'kept'))
+        measured.received, measured.kept = (
+            self._counts[key] - before[key] for key in ('received', 'kept'))
         return measured
 
     def _wait_for_transit(self) -> None:

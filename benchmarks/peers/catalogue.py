@@ -50,8 +50,8 @@ PEERS = {peer.name: peer for peer in (
     Peer('rustcpd', CURRENT, 'rustcpd', ('mixtures', 'rustcpd_rigid'), True, 1),
     Peer('pycpd', CURRENT, 'pycpd', ('mixtures', 'pycpd_rigid'), True, 2),
     Peer('JRMPC', CURRENT, 'jrmpc', ('mixtures', 'jrmpc_views'), True, 2),
-    Peer('multi-start', CURRENT, 'small_gicp', ('anywhere', 'multi_start'), False, 1),
-    Peer('KISS-Matcher', CURRENT, 'kiss-matcher', ('anywhere', 'kiss_matcher'), False, 1),
-    Peer('TEASER++', OLD, 'cmeel-teaser-plusplus', ('anywhere', 'teaser'), False, 1),
-    Peer('Go-ICP', CURRENT, 'py-goicp', ('anywhere', 'goicp'), False, 3),
+    Peer('multi-start', CURRENT, 'small_gicp', ('global_methods', 'multi_start'), False, 1),
+    Peer('KISS-Matcher', CURRENT, 'kiss-matcher', ('global_methods', 'kiss_matcher'), False, 1),
+    Peer('TEASER++', OLD, 'cmeel-teaser-plusplus', ('global_methods', 'teaser'), False, 1),
+    Peer('Go-ICP', CURRENT, 'py-goicp', ('global_methods', 'goicp'), False, 3),
 )}
