@@ -35,7 +35,7 @@ def rviz_topics() -> dict[str, dict[str, str]]:
 
 def test_rviz_shows_all_topics_in_the_bone_frame() -> None:
     assert rviz_topics().keys() == LATCHED | VOLATILE
-    assert RVIZ['Global Options']['Fixed Frame'] == Config().model.frame_id
+    assert RVIZ['Global Options']['Fixed Frame'] == Config().bone_frame
     assert 'rviz_default_plugins/TF' in {display['Class'] for display in RVIZ['Displays']}
     assert all(display['Enabled'] is display['Value'] for display in RVIZ['Displays'])
     shown = {display['Name'] for display in RVIZ['Displays'] if display['Enabled']}
@@ -70,7 +70,7 @@ def test_foxglove_shows_all_topics_in_the_bone_frame() -> None:
     placed = panels(FOXGLOVE['layout'])
     assert sorted(placed) == sorted(FOXGLOVE['configById'])
     scene = FOXGLOVE['configById']['3D!scene']
-    assert scene['followTf'] == Config().model.frame_id
+    assert scene['followTf'] == Config().bone_frame
     # the 3D panel does not draw PointStamped
     assert scene['topics'].keys() == (LATCHED | VOLATILE) - set(Config().probe.topics)
     assert scene['topics']['/registration/markers']['visible']

@@ -51,7 +51,7 @@ def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str 
         'timing_s': {'load': load_s, 'search': result.timing_s.get('search'),
                      'solve': result.timing_s.get('solve'), 'total': total_s},
         'inputs': {'model_sha256': model_sha256, 'points_sha256': points_sha256},
-        'config': config.flat(),
+        'config': config.named().flat(),
         'version': __version__,
     }
     return plain(document)

@@ -17,6 +17,10 @@ from typing import Any
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import flatten, setting, validate
 
+# The names of frames and files that are left empty; the node puts its own name before them.
+NAMES = {'model.frame_id': 'bone', 'reference.frame_id': 'reference_array',
+         'session.path': 'registration_session.json'}
+
 
 @dataclass(frozen=True)
 class ModelConfig:
@@ -25,7 +29,8 @@ class ModelConfig:
     path: str = setting('', 'mesh (STL, PLY, OBJ, OFF), field (.gsdf) or point cloud with normals; '
                         'a path or a package:// URI')
     unit: str = setting('mm', 'unit of length of the model file', choices=('mm', 'm'))
-    frame_id: str = setting('bone', 'frame of the bone model', fixed=True)
+    frame_id: str = setting('', 'frame of the bone model; empty: bone, or femur_bone for the node '
+                            '/femur/registration', fixed=True)
     voxel_size: float = setting(0.001, 'spacing of the signed-distance samples near the surface',
                                 'm', 1e-4, 0.01)
 
@@ -47,8 +52,9 @@ class ReferenceConfig:
         '',
         'PoseStamped topic of the reference array in the tracker frame; empty: none',
         fixed=True)
-    frame_id: str = setting('reference_array', 'frame of the reference array, in which the bone is '
-                            'then registered', fixed=True)
+    frame_id: str = setting('', 'frame of the reference array, in which the bone is then '
+                            'registered; empty: reference_array, or femur_reference_array for the '
+                            'node /femur/registration', fixed=True)
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,8 @@ class TfConfig:
 class SessionConfig:
     """The session file of ~/save and ~/load."""
 
-    path: str = setting('registration_session.json', 'session file')
+    path: str = setting('', 'session file; empty: registration_session.json, or '
+                        'femur_registration_session.json for the node /femur/registration')
     resume: bool = setting(False, 'restore at start the session from the journal beside '
                            'session.path, as after a crash', fixed=True)
 
@@ -271,10 +278,23 @@ class Config:
                 raise InputError(f'guidance.near contains "{name}", which is neither a landmark '
                                  'nor a target; add it to landmarks.names or targets.names')
 
+    def named(self, prefix: str = '') -> Config:
+        """Return a copy with ``prefix`` and a default for each of `NAMES` that is empty."""
+        flat = self.flat()
+        return self.replaced({name: prefix + default for name, default in NAMES.items()
+                              if not flat[name]})
+
+    @property
+    def bone_frame(self) -> str:
+        """The frame of the bone model."""
+        return self.model.frame_id or NAMES['model.frame_id']
+
     @property
     def points_frame(self) -> str:
         """The frame in which a session stores points; empty: the frame of the first point."""
-        return self.reference.frame_id if self.reference.topic else self.probe.frame_id
+        if not self.reference.topic:
+            return self.probe.frame_id
+        return self.reference.frame_id or NAMES['reference.frame_id']
 
     def flat(self) -> dict[str, Any]:
         """Return all settings by dotted name."""

@@ -22,6 +22,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from gsdf_registration.common.config import Config, settings
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import default_value
+from gsdf_registration.node.naming import prefix_of
 
 # Parameters of rclpy and launch, and those of the node that are no setting of `Config`
 FOREIGN = ('use_sim_time', 'start_type_description_service', 'autostart', 'qos_overrides')
@@ -118,8 +119,7 @@ def validated(node: Node, config: Config, values: Mapping[str, Any]) -> Config:
         config = config.replaced(values)
     except InputError as error:
         raise InputError(error.message + _pairing_hint(values)) from None
-    if not config.session.path:
-        raise InputError('session.path is empty; set the file of ~/save and ~/load')
+    config = config.named(prefix_of(node.get_namespace(), node.get_name()))
     topics = config.probe.topics + [topic for topic in [config.reference.topic] if topic]
     for topic in topics:
         try:

@@ -58,7 +58,7 @@ class SessionRecord:
             'versions': {'gsdf_registration': __version__, 'python': platform.python_version(),
                          'numpy': np.__version__, 'numba': numba.__version__},
             'frames': {'points': self.frame_id, 'pose': self.pose_frame_id,
-                       'bone': config.model.frame_id},
+                       'bone': config.bone_frame},
             'collecting': self.collecting, 'sources': self.source_names,
             'rejected': self.rejected, 'landmarks': plain(self.landmarks),
             'verifications': plain(self.verifications), 'result': result_to_dict(self.result),

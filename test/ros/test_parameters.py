@@ -66,7 +66,6 @@ def test_declares_and_describes_every_setting(client: Client) -> None:
     (Parameter('solver.method', STRING, 'magic'), 'solver.method must be one of mixture, paper'),
     (NAMES, 'in one request'),
     (POSITIONS, 'in one request'),
-    (Parameter('session.path', STRING, ''), 'session.path is empty'),
     (Parameter('probe.topics', STRINGS, ['no topic!']), '"no topic!" is not a valid topic name'),
     (Parameter('probe.topics', STRINGS, ['/a', '/a']), '/a occurs twice'),
     (Parameter('model.frame_id', STRING, 'other'), 'deactivate and cleanup'),

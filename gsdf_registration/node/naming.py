@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Default names of frames and files: two nodes with default settings have none in common."""
+
+from __future__ import annotations
+
+NODE_NAME = 'registration'      # of the executable and the launch file
+
+
+def prefix_of(namespace: str, name: str) -> str:
+    """
+    Return what comes before the default names of a node.
+
+    It is made of the fully qualified name: ``femur_`` for /femur/registration and for /femur,
+    ``left_femur_`` for /left/femur/registration, nothing for /registration.
+    """
+    words = f'{namespace}/{name}'.strip('/').split('/')
+    if words[-1] == NODE_NAME:
+        words.pop()
+    return ''.join(f'{word}_' for word in words)
