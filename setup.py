@@ -10,20 +10,23 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = 'gsdf_registration'
+# colcon build --symlink-install runs a link to this file in the build folder
+ROOT = Path(__file__).resolve().parent
 
 
 def version() -> str:
     """Return the version of the package."""
     return re.findall(r"^__version__ = '(.+)'$",
-                      Path(NAME, '__init__.py').read_text(), re.MULTILINE)[0]
+                      (ROOT / NAME / '__init__.py').read_text(), re.MULTILINE)[0]
 
 
 def shared(*folders: str) -> list[tuple[str, list[str]]]:
     """Return the data files that install the folders recursively in share/."""
     files = defaultdict(list)
     for folder in folders:
-        for file in sorted(Path(folder).rglob('*')):
-            if file.is_file() and '__pycache__' not in file.parts:
+        for path in sorted((ROOT / folder).rglob('*')):
+            file = path.relative_to(ROOT)       # colcon and setuptools accept no absolute paths
+            if path.is_file() and '__pycache__' not in file.parts:
                 files[f'share/{NAME}/{file.parent.as_posix()}'].append(file.as_posix())
     return list(files.items())
 
@@ -32,17 +35,18 @@ setup(
     name=NAME,
     version=version(),
     description='Find a bone under a tracked probe: partial-to-full registration on gradient-SDFs',
-    long_description=Path('README.md').read_text(),
+    long_description=(ROOT / 'README.md').read_text(),
     long_description_content_type='text/markdown',
     author='gsdf_registration maintainers',
     maintainer='gsdf_registration maintainers',
     maintainer_email='maintainers@example.org',
     license='Apache-2.0',
-    packages=find_packages(include=[NAME, f'{NAME}.*', 'msg_adapters', 'msg_adapters.*']),
+    packages=find_packages(str(ROOT),
+                           include=[NAME, f'{NAME}.*', 'msg_adapters', 'msg_adapters.*']),
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        *shared('config', 'launch', 'bags'),
+        *shared('bags', 'config', 'examples', 'launch'),
     ],
     package_data={f'{NAME}.visualization': ['report.html']},
     zip_safe=False,
