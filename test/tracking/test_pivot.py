@@ -244,6 +244,9 @@ def test_a_tool_that_stood_still_is_rejected() -> None:
     result = calibrated(record(turning=Turning(0.0, 0.0)))
     assert result.reason is PivotReason.STOOD_STILL
     assert 'stood still, it turned by' in rejection(result)
+    result = calibrated(record(turning=Turning(0.0, 0.0), noise=EXACT))
+    assert result.reason is PivotReason.STOOD_STILL
+    assert 'only 1 of 200 poses differ' in rejection(result)
 
 
 def test_a_rotation_about_one_axis_is_rejected_with_the_axis() -> None:
