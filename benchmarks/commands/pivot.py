@@ -137,6 +137,7 @@ def row(scenario: str, method: str, recordings: list[PivotRecording],
               for (tip, _), recording in zip(answers, recordings) if tip is not None]
     rejected = len(answers) - len(errors)
     figures = [np.median(errors), np.percentile(errors, 95.0), max(errors)] if errors else []
-    columns = ''.join(f'{figure:>10.2f}' for figure in figures) or f'{"-":>10}' * 3
+    columns = ''.join(f'{figure:>10.2f}' if figure < 1e4 else f'{figure:>10.0e}'
+                      for figure in figures) or f'{"-":>10}' * 3
     milliseconds = 1e3 * float(np.median([seconds for _, seconds in answers]))
     return f'{scenario:<24}{method:<24}{columns}{rejected:>10}{milliseconds:>8.1f}'
