@@ -120,7 +120,9 @@ def peer_answers(recordings: list[PivotRecording]) -> tuple[dict[str, list[Answe
         return {}, found.missing.get(LIBRARY, 'no Python')
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'poses.npz'
-        np.savez(file, **{f'{i:06d}': each.T_tracker_body for i, each in enumerate(recordings)})
+        poses: dict[str, Any] = {f'{i:06d}': each.T_tracker_body
+                                 for i, each in enumerate(recordings)}
+        np.savez(file, **poses)
         done = subprocess.run([found.python, WORKERS / 'pivots.py', file], env=clean_environment(),
                               capture_output=True, text=True, timeout=PEER_LIMIT)
     if done.returncode:
