@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.tracking.pivot_covariance import autocovariance
 from gsdf_registration.tracking.pivot_poses import Clock, Poses
 from gsdf_registration.tracking.pivot_task import Task
 
@@ -16,7 +17,9 @@ FEWEST = 10             # poses for an answer
 TRIPLES = 500           # hypotheses of the consensus, half of them from a quarter of the recording
 SCORED = 300            # poses each hypothesis is scored on
 GATE = 5.0              # standard deviations; a longer residual is an outlier
-STEP = 4.0              # standard deviations; a larger step of the residuals is a slip
+STEP = 6.0              # standard errors; a larger step of the residuals is a slip
+INDEPENDENT = 50.0      # residuals; with fewer their correlation is not known well
+SLOW_STEP = 4.0         # standard deviations; a larger step is a slip all the same
 PART = 0.05             # share of the poses; a slip leaves at least so many on both sides
 CHI3_MEDIAN = 1.5382    # median length of a standard normal vector of three components
 FAR = 10.0              # tolerances; a point farther away has not slipped, it was elsewhere
@@ -103,8 +106,8 @@ def longest_part(poses: Poses, agreeing: NDArray[np.bool_], clock: Clock,
     if len(run) >= fewest:
         clause, slipped = _described(poses, rows, run, clock, task)
     while len(rows) >= 2 * fewest:
-        i, step, sigma = _largest_step(poses[rows], fewest)
-        if step <= max(STEP * sigma, 1e-3 * task.tolerance):
+        i, step, error = _largest_step(poses[rows], fewest)
+        if step <= max(STEP * error, 1e-3 * task.tolerance):
             break
         clause, slipped = _slip(task, step, clock.after(int(rows[i]))), True
         rows = rows[:i] if i > len(rows) - i else rows[i:]
@@ -144,26 +147,44 @@ def _longest_run(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 def _largest_step(poses: Poses, fewest: int) -> tuple[int, float, float]:
     """
-    Return where the place of the point changes most, by how much, and the noise per axis, m.
+    Return where the place of the point changes most, by how much, and the standard error, m.
 
     For each possible row, one point and two places are fitted by least squares: one place before
-    the row and one from it on.  The best of some 100 rows is refined among its neighbours.
+    the row and one from it on.  The best of some 100 rows is refined among its neighbours.  The
+    standard error allows for the correlation of the residuals in time.
     """
-    last = len(poses) - fewest
+    n = len(poses)
+    last = n - fewest
     rows = np.unique(np.linspace(fewest, last, 100).astype(int))
     spacing = int(np.diff(rows).max(initial=1))
     sums = np.cumsum(poses.R, axis=0), np.cumsum(poses.p, axis=0)
     turned = np.einsum('nij,ni->j', poses.R, poses.p)
-    row = min(rows.tolist(), key=lambda i: _two_places(poses, i, sums, turned)[1])
-    near = range(max(row - spacing, fewest), min(row + spacing, last) + 1)
-    row = min(near, key=lambda i: _two_places(poses, i, sums, turned)[1])
-    step, sigma = _two_places(poses, row, sums, turned)
-    return row, step, sigma
+
+    def square(i: int) -> float:
+        return float((_two_places(poses, i, sums, turned)[1] ** 2).sum())
+    row = min(rows.tolist(), key=square)
+    row = min(range(max(row - spacing, fewest), min(row + spacing, last) + 1), key=square)
+    step, residuals = _two_places(poses, row, sums, turned)
+    return row, step, _standard_error(residuals, row)
+
+
+def _standard_error(residuals: Array, i: int) -> float:
+    """Return the standard error of the step at row ``i``, m per axis."""
+    n = len(residuals)
+    covariance = autocovariance(residuals)
+    if not covariance[0] > 0.0:
+        return 0.0
+    repeats = 1.0 + 2.0 * float(covariance[1:].sum() / covariance[0])
+    error = np.sqrt(covariance[0] * repeats * (1.0 / i + 1.0 / (n - i)))
+    if n / repeats < INDEPENDENT:
+        # slow motion of the point looks like a step: only a large one is a slip
+        error = max(error, np.sqrt(covariance[0]) * SLOW_STEP / STEP)
+    return float(error)
 
 
 def _two_places(poses: Poses, i: int, sums: tuple[Array, Array],
-                turned: Array) -> tuple[float, float]:
-    """Return the distance of two places, before row ``i`` and from it on, and the noise, m."""
+                turned: Array) -> tuple[float, Array]:
+    """Return the distance of two places, before row ``i`` and from it on, and the residuals, m."""
     n = len(poses)
     R1, p1 = (each[i - 1] / i for each in sums)
     R2, p2 = ((each[-1] - each[i - 1]) / (n - i) for each in sums)
@@ -174,7 +195,7 @@ def _two_places(poses: Poses, i: int, sums: tuple[Array, Array],
     residuals = poses.places(point)
     residuals[:i] -= c1
     residuals[i:] -= c2
-    return float(np.linalg.norm(c2 - c1)), float(np.sqrt((residuals**2).sum() / (3 * n)))
+    return float(np.linalg.norm(c2 - c1)), residuals
 
 
 def without_outliers(poses: Poses, part: NDArray[np.bool_], task: Task) -> NDArray[np.bool_]:
