@@ -23,6 +23,7 @@ from gsdf_registration.common.rigid import Array
 RADIUS = 0.004
 MIN_NEIGHBOURS = 4      # of a point on a stroke: samples 0.3-0.6 mm apart have a dozen or more
 MIN_CLUSTER = 12        # points on a stroke
+FEW = 20                # points are compared with all others: faster than to sort the others
 VOXELS_PER_RADIUS = 10  # neighbours are counted in a downsampled cloud: one point per voxel
 
 
@@ -72,7 +73,8 @@ def has_neighbours(points: Array, cloud: Array) -> NDArray[np.bool_]:
     """
     Return a mask of the new points that have enough neighbours to be on a stroke.
 
-    A fast substitute for `on_strokes` while points arrive one by one.
+    A fast substitute for `on_strokes` while points arrive one by one. Memory is proportional to m
+    and n, and the time to (m + n) log n, or to m n if that is less.
 
     Parameters
     ----------
@@ -81,8 +83,12 @@ def has_neighbours(points: Array, cloud: Array) -> NDArray[np.bool_]:
         All points so far, including ``points``.
 
     """
-    neighbours = (cdist(points, cloud) <= RADIUS).sum(axis=1) - 1
-    return np.asarray(neighbours >= MIN_NEIGHBOURS)
+    if len(points) < FEW:
+        return np.asarray((cdist(points, cloud) <= RADIUS).sum(axis=1) > MIN_NEIGHBOURS)
+    # the point itself is the nearest
+    distance = cKDTree(cloud).query(points, k=[MIN_NEIGHBOURS + 1],
+                                    distance_upper_bound=np.nextafter(RADIUS, 1.0))[0]
+    return np.asarray(np.isfinite(distance[:, 0]))
 
 
 def first_duplicate(points: Array) -> NDArray[np.intp]:

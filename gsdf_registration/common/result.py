@@ -152,6 +152,8 @@ class RegistrationResult:
     received: int = 0                           # points passed in
     used: int = 0                               # points passed to the solver
     inliers: int = 0                            # points on the bone
+    # points passed in but not used, by cause: isolated, repeated, downsampled
+    left_out: dict[str, int] = field(default_factory=dict)
     # estimated noise of a point along the surface normal
     sigma_m: float | None = None
     # of the inliers; this is not the accuracy (Fitzpatrick 2009)

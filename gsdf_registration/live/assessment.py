@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 from dataclasses import field as item
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.point_filters import filter_isolated
 from gsdf_registration.common.result import NextTouch, Reason, Refusal
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points
@@ -23,15 +21,17 @@ from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.input_checks import check_points
 from gsdf_registration.registration.pipeline import find_candidates
+from gsdf_registration.registration.point_selection import (
+    evenly_spread,
+    select_points,
+    weights_of_all,
+)
 from gsdf_registration.registration.pose_selection import SelectedPose
 from gsdf_registration.registration.stroke_report import StrokeReport, report_strokes
 from gsdf_registration.solver import Solution
 
-Indices = NDArray[np.int64]
-
-# The filter of isolated points considers at most this many times `live.max_points` points: its cost
-# would otherwise grow with the session.
-FILTER_FACTOR = 2
+# A search uses at most this many times `live.max_points` points
+SEARCH_FACTOR = 2
 
 # Reasons that do not prevent a pose from being shown. The reason `model_mismatch` depends on which
 # points are used, so a pose that is followed is rejected for it only by a search.
@@ -124,17 +124,17 @@ def assess_all_points(points: Points,
         check_points(points.positions, field, config.limits)
     except Refusal as refusal:
         return FullAssessment(points, rejection_reasons=(refusal,))
-    selection = _select(points.positions, config.live.max_points)
-    considered, used = selection.considered, selection.used
+    selection = select_points(points.positions, SEARCH_FACTOR * config.live.max_points)
+    rows = evenly_spread(selection.rows, config.live.max_points)
+    used = points.positions[rows]
     searched = selection.on_strokes >= search_threshold
     if searched:
-        dense = points.positions[considered][selection.dense]
-        candidate, reasons = _search(dense, field, config, guess, cancelled)
-        pose = WarmPose(points.positions[considered][used], field, candidate.solution, config)
+        candidate, reasons = _search(points.positions[selection.rows], field, config, guess,
+                                     cancelled)
+        pose = WarmPose(used, field, candidate.solution, config)
         pose.confidence = candidate.confidence
     elif previous is not None:
-        pose, candidate, reasons = _follow(points.positions[considered][used], field, config,
-                                           previous)
+        pose, candidate, reasons = _follow(used, field, config, previous)
     else:
         return FullAssessment(points, selection.on_strokes, rejection_reasons=previous_reasons)
     found = FullAssessment(points, selection.on_strokes, len(used), searched, reasons,
@@ -143,58 +143,11 @@ def assess_all_points(points: Points,
     if candidate.confidence is None or any(each.reason not in tolerated for each in reasons):
         # after a search there is nothing to follow; a followed pose may recover with more points
         return replace(found, pose=None) if searched else found
-    weights = selection.weights_of_all(pose.solution.weights)
     residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points.positions))[0]
+    weights = weights_of_all(points.positions, rows, pose.solution.weights, residuals)
     return replace(found, T_tracker_bone=pose.T_tracker_bone, covariance=pose.covariance,
                    residuals_m=residuals, weights=weights,
                    stroke_reports=tuple(report_strokes(points, residuals, weights)))
-
-
-@dataclass(frozen=True)
-class _Selection:
-    """
-    Which of n points an assessment uses.
-
-    count : int, n
-    considered : (c,), rows of the points, evenly spread
-    dense : (d,), indices into ``considered`` of the points on strokes
-    used : (u,), indices into ``considered`` of the points used, evenly spread over ``dense``
-    """
-
-    count: int
-    considered: Indices
-    dense: Indices
-    used: Indices
-
-    @property
-    def on_strokes(self) -> int:
-        """Estimated number of points on strokes among all points."""
-        return len(self.dense) * self.count // len(self.considered)
-
-    def weights_of_all(self, weights: Array) -> Array:
-        """Return weights (n,) from those of the points used, (u,): each as its predecessor."""
-        considered = np.zeros(len(self.considered))
-        considered[self.dense] = weights[_predecessors(self.used, self.dense)]
-        return np.asarray(considered[_predecessors(self.considered, np.arange(self.count))])
-
-
-def _select(positions: Array, max_points: int) -> _Selection:
-    """Return the selection of at most ``max_points`` points on strokes."""
-    considered = evenly_spread(np.arange(len(positions)), FILTER_FACTOR * max_points)
-    dense = np.flatnonzero(filter_isolated(positions[considered]))
-    return _Selection(len(positions), considered, dense, evenly_spread(dense, max_points))
-
-
-def evenly_spread(rows: Indices, limit: int) -> Indices:
-    """Return ``rows`` (n,), or ``limit`` of them, evenly spread from the first to the last."""
-    if len(rows) <= limit:
-        return rows
-    return np.asarray(rows[np.linspace(0, len(rows) - 1, limit).astype(np.int64)])
-
-
-def _predecessors(subset: Indices, rows: Indices) -> Indices:
-    """Return, for each row, the index into ``subset``, rising, of the last row not after it."""
-    return np.asarray(np.searchsorted(subset, rows, side='right') - 1)
 
 
 def _search(points: Array, field: Field, config: Config, guess: Array | None,

@@ -11,12 +11,16 @@ from gsdf_registration.common.point_filters import has_neighbours
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import Confidence, reassess
+from gsdf_registration.registration.point_selection import evenly_spread
 from gsdf_registration.solver import Neighbourhood, Solution, allow_for_model_error, refine
 
 # m; after a larger motion of a point the neighbourhoods are computed again
 NEIGHBOURHOOD_TOLERANCE = 0.003
 # New points that are a smaller share of all points than this wait for more before the next solve
 MIN_NEW_SHARE = 0.002
+MAX_NEW = 2000          # points per call
+# Points among which neighbours are searched; only with many outliers there are more than those used
+MAX_CLOUD = 20_000
 CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T     # of a box: low or high in each axis
 
 
@@ -58,10 +62,13 @@ class WarmPose:
         Add points (m, 3), m, tracker frame.
 
         Isolated points and those beyond ``live.max_points`` are not used; the next full assessment
-        considers them again.
+        considers them again. At most `MAX_NEW` points of a call are considered.
         """
-        self._cloud = np.concatenate([self._cloud, points])
-        room = max(self._config.live.max_points - len(self.points), 0)
+        room = self._config.live.max_points - len(self.points)
+        if room <= 0:
+            return
+        points = points[evenly_spread(np.arange(len(points)), MAX_NEW)]
+        self._cloud = np.concatenate([self._cloud[-MAX_CLOUD:], points])
         new = points[has_neighbours(points, self._cloud)][:room]
         if not len(new):
             return

@@ -13,6 +13,7 @@ from gsdf_registration.common.result import InputError, Reason, Refusal, as_numb
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.landmarks import pose_from_landmarks
+from gsdf_registration.registration.point_selection import MAX_POINTS, evenly_thinned
 
 # The extent of the points over that of the bone: outside this range the unit is wrong, by a factor
 # of a thousand, even if the whole bone is exposed
@@ -23,7 +24,8 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     """
     Check the points (n, 3), metres, tracker frame.
 
-    Their extent is measured between the 5th and the 95th percentile, as there may be outliers.
+    Their extent is measured between the 5th and the 95th percentile, as there may be outliers, and
+    of many points without most of those of a stationary tip.
 
     Raises
     ------
@@ -43,7 +45,8 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
             Reason.TOO_FEW_POINTS,
             f'too few points: {len(points)}, {limits.min_points} are needed; '
             'drag the probe over more of the bone')
-    extent = float(np.ptp(np.percentile(points, [5.0, 95.0], axis=0), axis=0).max())
+    spread = points[evenly_thinned(points, MAX_POINTS, MAX_POINTS)]
+    extent = float(np.ptp(np.percentile(spread, [5.0, 95.0], axis=0), axis=0).max())
     plausible = MIN_EXTENT_RATIO * field.extent < extent < MAX_EXTENT_RATIO * field.extent
     if extent > 0.0 and not plausible:
         raise Refusal(

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from time import perf_counter
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.point_filters import filter_isolated
 from gsdf_registration.common.result import Reason, Refusal, RegistrationResult, as_numbers
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
@@ -18,6 +19,11 @@ from gsdf_registration.registration.acceptance import acceptance_message, reject
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.input_checks import check_points, initial_guess
+from gsdf_registration.registration.point_selection import (
+    PointSelection,
+    select_points,
+    weights_of_all,
+)
 from gsdf_registration.registration.pose_selection import select_pose, solve_all
 from gsdf_registration.search.global_search import find_start_poses
 
@@ -66,18 +72,37 @@ def register(points: ArrayLike,
         received = len(points) if points.ndim else 0
         check_points(points, field, config.limits)
         guess = initial_guess(landmarks, T_tracker_bone)
-        # without isolated points and repeated readings
-        used = filter_isolated(points)
-        for candidate in find_candidates(points[used], field, config, guess, cancelled=cancelled,
+        selection = select_points(points)
+        chosen = points[selection.rows]
+        for candidate in find_candidates(chosen, field, config, guess, cancelled=cancelled,
                                          progress=progress, history=history):
-            refusal = next(rejection_reasons(candidate, points[used], field, config), None)
+            refusal = next(rejection_reasons(candidate, chosen, field, config), None)
             if refusal is None:
                 break
     except Refusal as error:
         return RegistrationResult.refused(error.reason, error.message, received=received)
+    used = selection.used
     result = (candidate.to_result(Reason.CONVERGED, acceptance_message(candidate), used)
               if refusal is None else candidate.to_result(refusal.reason, refusal.message, used))
+    result = _with_points_left_out(result, candidate, points, selection, field)
     return replace(result, timing_s={**result.timing_s, 'total': perf_counter() - started})
+
+
+def _with_points_left_out(result: RegistrationResult, candidate: Candidate, points: Array,
+                          selection: PointSelection, field: Field) -> RegistrationResult:
+    """Return the result with the counts of points left out; downsampled points get a residual."""
+    result = replace(result, left_out=selection.left_out)
+    if not selection.left_out['downsampled']:
+        return result
+    T_bone_tracker = candidate.solution.T_bone_tracker
+    residuals = field.sample(rigid.transform(T_bone_tracker, points))[0]
+    weights = weights_of_all(points, selection.rows, candidate.solution.weights, residuals)
+    assert result.residuals_m is not None
+    known = np.isfinite(result.residuals_m)
+    residuals[known] = result.residuals_m[known]
+    message = (f'{result.message}; {selection.total} points were downsampled to '
+               f'{len(selection.rows)}')
+    return replace(result, message=message, residuals_m=residuals, weights=weights)
 
 
 def find_candidates(points: Array,

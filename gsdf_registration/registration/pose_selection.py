@@ -92,23 +92,39 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
 
     """
     best = max(solutions, key=lambda solution: solution.rank)
-    placed = [rigid.transform(solution.T_bone_tracker, points) for solution in (best, *solutions)]
-    residuals = [field.sample(x)[0] for x in placed]
+    poses = [solution.T_bone_tracker for solution in (best, *solutions)]
+    residuals = [field.sample(rigid.transform(T, points))[0] for T in poses]
     neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
     local_sd = max(_local_sd(best, neighbours), 0.01 * field.voxel_size)
     # the same measures for all solutions: the likelihood of the local means and a robust cost
     likelihood = [patch_likelihood(e, neighbours, local_sd) for e in residuals]
     cost = [(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals]
-    minima, alternatives = [placed[0]], []
+    minima, alternatives, apart = [poses[0]], [], _distance_of_poses(points)
     for k in np.argsort(likelihood, kind='stable')[::-1]:
-        if all(np.sqrt(((placed[k] - x) ** 2).sum(axis=1).mean()) > SAME_MINIMUM for x in minima):
-            minima.append(placed[k])
-            alternatives.append(AlternativePose(solutions[k - 1].T_bone_tracker,
-                                                likelihood[0] - likelihood[k],
+        if all(apart(poses[k], T) > SAME_MINIMUM for T in minima):
+            minima.append(poses[k])
+            alternatives.append(AlternativePose(poses[k], likelihood[0] - likelihood[k],
                                                 float(cost[k] / max(cost[0], 1e-12))))
     best = allow_for_model_error(best, points)
     residual = field.sample(rigid.transform(best.T_bone_tracker, points))[0]
     return SelectedPose(best, residual, alternatives)
+
+
+def _distance_of_poses(points: Array) -> Callable[[Array, Array], float]:
+    """
+    Return the distance between the images of ``points`` (n, 3) under two motions, m (RMS).
+
+    It follows from the moments of the points, so it takes a few microseconds for any n.
+    """
+    centroid = points.mean(axis=0)
+    arms = points - centroid
+    moments = (arms[:, :, None] * arms[:, None, :]).mean(axis=0)
+
+    def distance(T_a: Array, T_b: Array) -> float:
+        D = T_a - T_b
+        shift = D[:3, :3] @ centroid + D[:3, 3]
+        return float(np.sqrt(shift @ shift + ((D[:3, :3] @ moments) * D[:3, :3]).sum()))
+    return distance
 
 
 def _local_sd(solution: Solution, neighbours: NDArray[np.int64]) -> float:

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""At most a fixed number of points is used, and every point is accounted for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
+
+from gsdf_registration.common import rigid
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.point_filters import filter_isolated
+from gsdf_registration.common.rigid import Array, inverse, transform
+from gsdf_registration.registration.pipeline import register
+from gsdf_registration.registration.point_selection import (
+    CHECKED,
+    CUBE_SHARE,
+    MAX_POINTS,
+    PointSelection,
+    select_points,
+    weights_of_all,
+)
+
+RNG = np.random.default_rng(0)
+
+
+def plane(n: int, size: float = 0.08) -> Array:
+    """Return random points (n, 3), m, of a square in z = 0 with the noise of a tracker."""
+    return RNG.uniform([0.0, 0.0, 0.0], [size, size, 0.0], (n, 3)) + 2e-4 * RNG.normal(size=(n, 3))
+
+
+def scattered(n: int) -> Array:
+    return RNG.uniform(-0.3, 0.3, (n, 3))
+
+
+def counted(selection: PointSelection) -> int:
+    return len(selection.rows) + sum(selection.left_out.values())
+
+
+def test_uses_all_points_on_strokes_up_to_the_limit() -> None:
+    points = np.concatenate([plane(1800), scattered(150)])
+    points = np.concatenate([points, points[:50]])
+    selection = select_points(points, 2000)
+    np.testing.assert_array_equal(selection.used, filter_isolated(points))
+    assert selection.left_out['downsampled'] == 0 and selection.left_out['repeated'] == 50
+    assert selection.left_out['isolated'] > 100
+    assert counted(selection) == 2000
+
+
+@pytest.mark.parametrize('outliers', [0.0, 0.3, 0.9])
+def test_outliers_and_points_on_strokes_keep_their_shares(outliers: float) -> None:
+    n = 60_000
+    points = np.concatenate([plane(round((1.0 - outliers) * n)), scattered(round(outliers * n))])
+    order = RNG.permutation(n)
+    selection = select_points(points[order], 2000)
+    assert counted(selection) == n
+    assert len(selection.rows) <= 2000
+    checked = n if n < CHECKED * 2000 else CHECKED * 2000
+    assert selection.left_out['isolated'] == pytest.approx(outliers * checked, abs=0.02 * checked)
+    assert np.mean(order[selection.rows] < (1.0 - outliers) * n) > 0.97
+
+
+def test_points_are_spread_over_the_whole_recording() -> None:
+    rows = select_points(plane(30_000), 1000).rows
+    assert len(rows) == 1000
+    assert rows[0] < 60 and rows[-1] > 29_940
+    assert np.diff(rows).max() < 200
+
+
+def test_a_stationary_tip_does_not_displace_the_strokes() -> None:
+    strokes, resting = plane(900, 0.05), plane(1) + 2e-4 * RNG.normal(size=(150_000, 3))
+    selection = select_points(np.concatenate([strokes, resting]), 2000)
+    assert (selection.rows < 900).sum() > 850
+    assert (selection.rows >= 900).sum() <= 8 * 2000 // CUBE_SHARE
+    assert counted(selection) == 150_900
+
+
+def test_a_distant_outlier_does_not_change_the_selection_of_the_others() -> None:
+    points = plane(5000)
+    rows = select_points(points, 1000).rows
+    far = select_points(np.concatenate([points, [[9e5, -9e5, 9e5]]]), 1000).rows
+    assert np.isin(far, rows).mean() > 0.5 and len(far) == 1000
+
+
+def test_points_that_were_not_used_get_the_weight_of_the_nearest_one() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1e-4], [0.02, 0.0, 0.0], [0.0201, 0.0, 0.0],
+                       [0.0, 0.0, 5e-3]])
+    residuals = np.array([1e-4, 2e-4, 1e-4, 1e-4, 5e-3])
+    weights = weights_of_all(points, np.array([0, 2]), np.array([0.9, 0.1]), residuals)
+    np.testing.assert_array_equal(weights, [0.9, 0.9, 0.1, 0.1, 0.0])
+
+
+def test_registers_many_points_with_a_true_error_and_the_same_bits_every_time() -> None:
+    touched = transform(T_TRACKER_BONE, np.concatenate([
+        touched_points(3000, seed, 3e-4) for seed in range(15)]))
+    points = np.concatenate([touched, touched.mean(axis=0) + RNG.uniform(-0.3, 0.3, (5000, 3))])
+    points = points[RNG.permutation(len(points))]
+    config = Config().replaced({'search.rotations': 200, 'search.places': 20, 'search.parts': 2})
+    results = [register(points, bone_field(), config.replaced({'search.threads': threads}),
+                        T_tracker_bone=T_TRACKER_BONE) for threads in (1, 2)]
+    first, second = results
+    assert first.T_tracker_bone is not None and first.weights is not None
+    assert first.T_tracker_bone.tobytes() == second.T_tracker_bone.tobytes()
+    assert first.covariance.tobytes() == second.covariance.tobytes()
+    assert first.weights.tobytes() == second.weights.tobytes()
+    assert first.received == first.used + sum(first.left_out.values()) == 50_000
+    assert first.used == MAX_POINTS and 'downsampled' in first.message
+    error = rigid.rms_displacement(inverse(first.T_tracker_bone), inverse(T_TRACKER_BONE), touched)
+    assert error < 3.0 * first.predicted_tre_m['rms'] < 2e-4
+    # every point has a residual, and those on the bone a weight
+    assert np.isfinite(first.residuals_m).all() and len(first.weights) == 50_000
+    assert (first.weights > 0.5).sum() == pytest.approx(45_000, abs=500)
