@@ -3,7 +3,7 @@
 
 VENV := $(CURDIR)/.venv
 BIN := $(VENV)/bin
-DATA := package.xml $(shell find config launch bags resource -type f -not -path '*/__pycache__/*')
+DATA := package.xml $(shell find bags config examples launch resource -type f -not -path '*/__pycache__/*')
 
 # Ignore the environment of a ROS installation or of another virtual environment.
 unexport PYTHONPATH LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures of several test modules: bones and recordings of bags/, and a copy of the sources."""
+"""
+Fixtures of several test modules: bones and recordings of bags/, and a copy of the sources.
+
+Modules that need an optional package are not imported without it, see `NEEDS`.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +22,45 @@ from msg_adapters.truth import Truth, read_truth
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md', 'LICENSE',
-           'resource', 'config', 'launch', 'bags', 'gsdf_registration', 'gsdf_registration_msgs',
-           'msg_adapters', 'test')
+           'resource', 'config', 'launch', 'bags', 'examples', 'gsdf_registration',
+           'gsdf_registration_msgs', 'msg_adapters', 'test', 'benchmarks', 'docs', 'tools')
+# The optional package that a module or the modules of a folder import.  No module skips itself
+# while it is imported: with the pytest plugin of launch_testing that ends the collection.
+NEEDS = {
+    'cli/test_report_option.py': 'plotly', 'cli/test_show.py': 'matplotlib',
+    'msg_adapters/test_markers.py': 'visualization_msgs',
+    'msg_adapters/test_ros.py': 'geometry_msgs', 'node': 'rclpy', 'ros': 'rclpy',
+    'visualization/test_picture.py': 'matplotlib', 'visualization/test_report.py': 'plotly'}
+
+
+class SkippedModule(pytest.File):
+    """A test module that is not imported, because a package is not installed."""
+
+    package = ''
+
+    def collect(self) -> Iterator[SkippedTests]:
+        yield SkippedTests.from_parent(self, name=f'needs {self.package}')
+
+
+class SkippedTests(pytest.Item):
+    """Stands for all tests of the module."""
+
+    parent: SkippedModule
+
+    def runtest(self) -> None:
+        pytest.skip(f'{self.parent.package} is not installed')
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.File | None:
+    """Replace a module that needs a package which is not installed."""
+    name = module_path.relative_to(Path(__file__).parent).as_posix()
+    package = NEEDS.get(name) or NEEDS.get(name.partition('/')[0])
+    if package is None or importlib.util.find_spec(package) is not None:
+        return None
+    skipped: SkippedModule = SkippedModule.from_parent(parent, path=module_path)
+    skipped.package = package
+    return skipped
 
 
 @pytest.fixture(scope='session')

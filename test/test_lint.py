@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib.metadata
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,11 +15,19 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = ('gsdf_registration', 'msg_adapters', 'test', 'launch', 'benchmarks', 'docs', 'examples')
 
 
+def installed(tool: str) -> str:
+    """Return the tool with its version, as in setup.py; empty if it is not installed."""
+    try:
+        return f'{tool}=={importlib.metadata.version(tool)}'
+    except importlib.metadata.PackageNotFoundError:
+        return ''
+
+
 @pytest.mark.parametrize('command', [['ruff', 'check'], ['mypy']], ids=['ruff', 'mypy'])
 def test_lint(command: list[str]) -> None:
-    tool = command[0]
-    if importlib.util.find_spec(tool) is None:
-        pytest.skip(f'{tool} is not installed; install the package with the extra [test]')
+    needed = re.findall(rf"'({command[0]}==[\d.]+)'", (ROOT / 'setup.py').read_text())
+    if installed(command[0]) not in needed:
+        pytest.skip(f'needs {needed[0]}; {installed(command[0]) or "none"} is installed')
     done = subprocess.run([sys.executable, '-m', *command],
                           cwd=ROOT,
                           capture_output=True,

@@ -13,9 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-
-pytest.importorskip('plotly')
-
 from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.cli.main import main

@@ -9,23 +9,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
 from pixel_colours import has_colour
 from smooth_bone import T_TRACKER_BONE, bone_mesh, touched_points
 
-pytest.importorskip('matplotlib')
-
-import matplotlib.image  # noqa: E402
-
-from gsdf_registration.cli.main import main  # noqa: E402
-from gsdf_registration.common.config import Config  # noqa: E402
-from gsdf_registration.common.rigid import Array, transform  # noqa: E402
-from gsdf_registration.field.model import load_model  # noqa: E402
-from gsdf_registration.session.replay import replay  # noqa: E402
-from gsdf_registration.visualization import colours, picture  # noqa: E402
-from msg_adapters.bag import read_bag  # noqa: E402
-from msg_adapters.session_file import write_session  # noqa: E402
+from gsdf_registration.cli.main import main
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.rigid import Array, transform
+from gsdf_registration.field.model import load_model
+from gsdf_registration.session.replay import replay
+from gsdf_registration.visualization import colours, picture
+from msg_adapters.bag import read_bag
+from msg_adapters.session_file import write_session
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,19 +5,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
+from geometry_msgs.msg import Point
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
 
-pytest.importorskip('visualization_msgs.msg')
-
-import trimesh  # noqa: E402
-from geometry_msgs.msg import Point  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from std_msgs.msg import ColorRGBA  # noqa: E402
-from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
-
-from gsdf_registration.node.scene import MAX_FACES  # noqa: E402
-from gsdf_registration.visualization.decimation import decimate  # noqa: E402
-from msg_adapters import markers  # noqa: E402
-from msg_adapters.marker_cdr import Shape, to_bytes  # noqa: E402
+from gsdf_registration.node.scene import MAX_FACES
+from gsdf_registration.visualization.decimation import decimate
+from msg_adapters import markers
+from msg_adapters.marker_cdr import Shape, to_bytes
 
 GREEN = np.array([0.0, 0.65, 0.46])
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.2, 0.0]])

@@ -7,20 +7,16 @@ import array
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import exp
-
-pytest.importorskip('geometry_msgs.msg')
-
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from geometry_msgs.msg import PoseStamped  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
-from sensor_msgs.msg import PointCloud2, PointField  # noqa: E402
-
-from msg_adapters import ros  # noqa: E402
+from msg_adapters import ros
 
 FINITE = st.floats(-1e6, 1e6)
 VECTORS = st.tuples(FINITE, FINITE, FINITE)

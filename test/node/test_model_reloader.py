@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip('rclpy')
-
-from gsdf_registration.common.config import Config  # noqa: E402
-from gsdf_registration.common.result import InputError  # noqa: E402
-from gsdf_registration.node.model_reloader import (  # noqa: E402
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError
+from gsdf_registration.node.model_reloader import (
     ModelReloader,
     _places,
     _places_on_new_bone,

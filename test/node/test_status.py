@@ -5,20 +5,18 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip('rclpy')
-
-from gsdf_registration.common.config import Config  # noqa: E402
-from gsdf_registration.common.result import Reason, RegistrationResult  # noqa: E402
-from gsdf_registration.live import LiveStatus  # noqa: E402
-from gsdf_registration.node.status import (  # noqa: E402
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.live import LiveStatus
+from gsdf_registration.node.status import (
     combined_status,
     pose_kept,
     sentence,
     status_message,
 )
-from gsdf_registration.registration.stroke_report import StrokeReport  # noqa: E402
-from gsdf_registration.session import Session  # noqa: E402
-from gsdf_registration.session.status import Status  # noqa: E402
+from gsdf_registration.registration.stroke_report import StrokeReport
+from gsdf_registration.session import Session
+from gsdf_registration.session.status import Status
 
 READY = LiveStatus(ready=True, message='enough points: register now')
 FEW = LiveStatus(message='drag the probe', reason=Reason.TOO_FEW_POINTS)

@@ -2,11 +2,13 @@
 """
 Fixtures for tests with real processes over real DDS.
 
-They use a separate domain, one node that tests share, and nodes of single tests.
+They use a separate domain, one node that tests share, and nodes of single tests. Without rclpy the
+tests are skipped, see `NEEDS` of ../conftest.py, and nothing here is used.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,10 +16,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import BAG, TOPICS, Client, NodeProcess, Tracker
 
-from gsdf_registration.clients.domain import private_domain
 from msg_adapters.truth import read_truth
+
+if importlib.util.find_spec('rclpy') is not None:
+    from ros_support import BAG, TOPICS, Client, NodeProcess, Tracker
+
+    from gsdf_registration.clients.domain import private_domain
 
 
 @pytest.fixture(scope='session', autouse=True)

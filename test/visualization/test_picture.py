@@ -6,20 +6,17 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
 from example_scene import X, example_scene
 from pixel_colours import has_colour
 from smooth_bone import bone_field, touched_points
 
-pytest.importorskip('matplotlib')
-
-import matplotlib.image  # noqa: E402
-
-from gsdf_registration.common.result import InputError, NextTouch  # noqa: E402
-from gsdf_registration.common.rigid import Array  # noqa: E402
-from gsdf_registration.visualization import colours, picture  # noqa: E402
-from gsdf_registration.visualization.render import Scene  # noqa: E402
+from gsdf_registration.common.result import InputError, NextTouch
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.visualization import colours, picture
+from gsdf_registration.visualization.render import Scene
 
 
 @pytest.fixture(autouse=True)

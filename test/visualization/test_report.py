@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip('plotly')
-
 from smooth_bone import LANDMARKS, T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration import __version__
