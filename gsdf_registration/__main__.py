@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m gsdf_registration`` is the command ``gsdf``."""
 
-import sys
-
-from gsdf_registration.cli.main import main
+import runpy
 
 if __name__ == '__main__':
-    sys.exit(main())
+    runpy.run_module('gsdf_registration.cli.main', run_name='__main__', alter_sys=True)

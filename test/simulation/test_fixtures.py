@@ -16,17 +16,17 @@ from msg_adapters.bag import LANDMARK_TOPIC, read_bag
 from msg_adapters.recording import Recording
 from msg_adapters.truth import Truth
 
-MAKE = Path(__file__).parents[2] / 'benchmarks' / 'make_fixtures.py'
+CHECKOUT = Path(__file__).parents[2]
 Surface = tuple[np.ndarray, np.ndarray]
 
 
 def test_bags_are_reproduced_bit_for_bit(bags: Path, tmp_path: Path) -> None:
     pytest.importorskip('skimage')
-    subprocess.run([sys.executable, MAKE, tmp_path],
-                   cwd=MAKE.parents[1],
+    subprocess.run([sys.executable, '-m', 'benchmarks', 'fixtures', tmp_path],
+                   cwd=CHECKOUT,
                    check=True,
                    capture_output=True,
-                   env={'PYTHONPATH': str(MAKE.parents[1]), 'PATH': ''})
+                   env={'PYTHONPATH': str(CHECKOUT), 'PATH': ''})
     made = sorted(path.relative_to(tmp_path) for path in tmp_path.rglob('*') if path.is_file())
     shipped = sorted(path.relative_to(bags) for path in bags.rglob('*') if path.is_file())
     assert made == [path for path in shipped if path.name != 'README.md']

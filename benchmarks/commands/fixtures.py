@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-Write bags/: bones from implicit solids and recordings made with `gsdf simulate`.
-
-The files are reproduced bit for bit.
-
-Usage: ``python benchmarks/make_fixtures.py [DIRECTORY]`` (default: bags/ of this checkout).
-"""
+"""``python -m benchmarks fixtures``: write the bones and recordings of bags/, bit for bit."""
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
-from gsdf_registration.simulation.bones import bone_landmarks, bone_mesh
+from gsdf_registration.common.command_line import example
+from gsdf_registration.common.result import InputError
 
-BAGS = Path(__file__).resolve().parent.parent / 'bags'
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
 # bag: bone and arguments of gsdf simulate, see also bags/README.md
 RECORDINGS = {
     'hip_optical': ('hip', '--region acetabulum --points 600 --rate 80 --speed 40 --sigma 0.15 '
@@ -26,8 +23,27 @@ RECORDINGS = {
 }
 
 
-def make(directory: Path) -> None:
-    """Write bones, recordings and ground truth to ``directory``, overwriting existing files."""
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'fixtures', help='write the bones and recordings of bags/',
+        description='Write the simulated bones, recordings and ground truth of bags/. The files '
+        'are the same on every machine, bit for bit. Needs scikit-image.',
+        **example('python -m benchmarks fixtures'))
+    parser.add_argument('directory', nargs='?', type=Path, default=BAGS, metavar='DIRECTORY',
+                        help='existing files are overwritten (default: bags/ of this checkout)')
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write bones, recordings and ground truth."""
+    from importlib.util import find_spec
+
+    from gsdf_registration.simulation.bones import bone_landmarks, bone_mesh
+    if find_spec('skimage') is None:
+        raise InputError('the bones need scikit-image, which is not installed: '
+                         'pip install scikit-image')
+    directory = args.directory
     directory.mkdir(parents=True, exist_ok=True)
     landmarks = {}
     for name in ('hip', 'femur'):
@@ -42,7 +58,4 @@ def make(directory: Path) -> None:
                    str(directory / f'{name}.ply'), *arguments.split(), *options,
                    '-o', str(directory / bag)]
         subprocess.run(command, check=True)
-
-
-if __name__ == '__main__':
-    make(Path(sys.argv[1]) if len(sys.argv) > 1 else BAGS)
+    return 0
