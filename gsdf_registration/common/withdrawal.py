@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reasons for which an accepted pose is withdrawn."""
+"""The reasons for which there is no pose, or no longer one."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ class Withdrawal(str, Enum):
     POINTS_DROPPED = 'points_dropped'       # without the dropped points there is no registration
     SESSION_LOADED = 'session_loaded'       # a saved session without a pose was loaded
     DEACTIVATED = 'deactivated'             # the node was deactivated or is shutting down
+    NOT_REGISTERED = 'not_registered'       # there has been no pose yet
 
     def __str__(self) -> str:
         """Return the lower-case name used in logs and status."""

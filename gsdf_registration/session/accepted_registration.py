@@ -23,6 +23,11 @@ class AcceptedRegistration:
     serials: NDArray[np.int64]      # (n,) of the points in the collection, ascending
     frame_id: str       # of the points, and so of the pose
 
+    @property
+    def newest(self) -> float:
+        """Stamp of its newest point, s."""
+        return float(self.points.stamps[-1]) if len(self.points.stamps) else 0.0
+
     def outdated(self, serials: NDArray[np.int64]) -> bool:
         """Return whether any of its points is missing in the collection, ``serials`` (m,)."""
         return not np.isin(self.serials, serials, assume_unique=True).all()

@@ -9,8 +9,8 @@ value.  Values are plain, ready for JSON:
 event         value
 ============  ======================================================================================
 model         SHA-256 of the bone, or None; the first event
-clear         everything except the model is dropped; sources and accepted registration follow.
-              Why, if the operator did not ask for it; else None
+clear         everything except the model is dropped; the sources follow.  Why, if the operator did
+              not ask for it; else None
 session       a whole session that replaces the state, as `SessionRecord.to_dict`
 collecting    whether points are collected
 frame         name of the frame of the points
@@ -23,7 +23,7 @@ landmark      as in the session record
 verification  as in the session record
 registration  {result, pose_frame_id, verifications: measured again, fit: [residual, weight] of each
               point, or None}; the last three are None after a refusal
-pose          [frame, result] of the accepted registration, whose points were dropped
+no_pose       why the accepted registration is withdrawn; the points stay
 ============  ======================================================================================
 """
 
@@ -75,8 +75,8 @@ class Replay:
             session[f'{event}s'].append(value)
         elif event == 'registration':
             self._register(value)
-        elif event == 'pose':
-            session['frames']['pose'], session['pose_result'] = value
+        elif event == 'no_pose':
+            self._withdraw_pose()
         elif event == 'model':
             self._set_model(value)
         elif event == 'clear':
@@ -98,13 +98,19 @@ class Replay:
         for row, fit in zip(session['points'], value['fit'], strict=True):
             row[FIT:] = fit or [None, None]
 
+    def _withdraw_pose(self) -> None:
+        session = self.session
+        if session['result'] == session['pose_result']:     # else the last attempt was refused
+            session['result'] = None
+        session['pose_result'], session['frames']['pose'] = None, ''
+        for row in session['points']:
+            row[FIT:] = [None, None]
+
     def _set_model(self, model_sha256: str | None) -> None:
         session = self.session
         if session['model_sha256'] != model_sha256:
-            session |= {'result': None, 'pose_result': None, 'verifications': []}
+            self._withdraw_pose()
+            session |= {'result': None, 'verifications': []}
             if session['model_sha256'] is not None:
                 session['landmarks'] = []
-            session['frames']['pose'] = ''
-            for row in session['points']:
-                row[FIT:] = [None, None]
         session['model_sha256'] = model_sha256

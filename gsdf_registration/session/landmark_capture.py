@@ -8,7 +8,8 @@ reached, over soft tissue and some millimetres off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,8 @@ class Answer:
 
     success: bool
     message: str
+    # what was measured, for programs: a landmark and its tip, a verification point, or a result
+    detail: Any = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ class LandmarkCapture:
         warning = disagreement([each.name for each in self.captured], *self._pairs())
         return Answer(True, '; '.join(filter(None, (
             f'landmark "{name}" captured from {tip.samples} samples, spread '
-            f'{1e3 * tip.spread_rms:.2f} mm RMS', warning, following)))), tip
+            f'{1e3 * tip.spread_rms:.2f} mm RMS', warning, following))), (name, tip)), tip
 
     def errors(self, T_tracker_bone: Array) -> dict[str, float]:
         """Return the distance of each landmark from its place on the registered bone, m."""

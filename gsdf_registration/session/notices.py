@@ -15,6 +15,7 @@ class Notices:
         self._state = state
         self._registered = False    # whether a registration, good or not, is the latest event
         self._text = ''
+        self._warning = False
         self._points = 0            # number of points at the event
 
     def on_registration(self) -> None:
@@ -35,9 +36,10 @@ class Notices:
         """Drop everything, after a clear or for another bone."""
         self._registered, self._text = False, ''
 
-    def set(self, text: str) -> None:
-        """Show a notice."""
-        self._text, self._points = text, len(self._state.collection)
+    def set(self, text: str, warning: bool = False) -> None:
+        """Show a notice; ``warning``: the operator should act on it."""
+        self._text, self._warning = text, warning
+        self._points = len(self._state.collection)
 
     @property
     def _progress(self) -> float:
@@ -54,3 +56,8 @@ class Notices:
     def text(self) -> str:
         """The notice; empty if there is none."""
         return self._text if self._progress < NOTICE_LIFETIME else ''
+
+    @property
+    def warning(self) -> bool:
+        """Whether the notice is one that the operator should act on."""
+        return self._warning and bool(self.text)

@@ -18,6 +18,7 @@ from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points, Rejection, Sample
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.registration.pipeline import register
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
@@ -26,7 +27,7 @@ from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.notices import Notices
 from gsdf_registration.session.record import SessionRecord
 from gsdf_registration.session.state import SessionState
-from gsdf_registration.session.status import Status, accepted_stays, count_points, make_status
+from gsdf_registration.session.status import Status, count_points, make_status
 
 __all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
 
@@ -68,10 +69,14 @@ class Session:
         with self._lock:
             self._state.stop_listening(listener)
 
-    def set_notice(self, text: str) -> None:
-        """Add a notice to the status until the session is continued, cleared or registered."""
+    def set_notice(self, text: str, warning: bool = False) -> None:
+        """
+        Add a notice to the status until the session is continued, cleared or registered.
+
+        ``warning``: the operator should act on it.
+        """
         with self._lock:
-            self._notices.set(text)
+            self._notices.set(text, warning)
 
     def add(self, sample: Sample) -> Rejection | None:
         """
@@ -95,7 +100,7 @@ class Session:
         """Clear without a request of the operator; listeners and the status report why."""
         with self._lock:
             self._clear(reason)
-            self._notices.set(restart_notice(reason))
+            self._notices.set(restart_notice(reason), warning=True)
 
     def collect(self, on: bool) -> Answer:
         """Start a stroke, or end it."""
@@ -127,11 +132,36 @@ class Session:
                 f'{count_points(self._state)} left')
 
     def clear(self) -> Answer:
-        """Drop all points, landmarks and verification points; keep the accepted registration."""
+        """Drop all points, landmarks and verification points, and withdraw the pose."""
         with self._lock:
+            registered = self._state.accepted is not None
             self._clear(None)
             return Answer(True, 'dropped all points, landmarks and verification points'
-                          + accepted_stays(self._state))
+                          + ('; the pose is withdrawn' if registered else ''))
+
+    def withdraw_pose(self, reason: Withdrawal, message: str) -> None:
+        """Withdraw the accepted registration, if there is one; the points stay."""
+        with self._lock:
+            self._state.withdraw_pose(reason, message)
+            self._notices.on_undo()
+
+    def set_initial_pose(self, T_tracker_bone: Array, frame_id: str = '') -> Answer:
+        """
+        Search around this pose (4, 4) first, in registrations and in the live search.
+
+        It applies until a registration is accepted, the session is cleared, or another bone is
+        used.  ``frame_id``: of the pose; empty: that of the points.
+        """
+        with self._lock:
+            answer = self._state.set_initial_pose(T_tracker_bone, frame_id)
+            if not answer.success:
+                self._notices.set(answer.message, warning=True)
+            return answer
+
+    def initial_pose(self) -> Array | None:
+        """Return T_tracker_bone (4, 4) of the initial pose; None if there is none."""
+        with self._lock:
+            return self._state.guess
 
     def _clear(self, reason: str | None) -> None:
         self._state.clear(reason)
@@ -162,7 +192,7 @@ class Session:
         landmarks : ((k, 3), (k, 3)) float, optional
             Model and tracker positions, m; by default the captured landmarks, if three or more.
         T_tracker_bone : (4, 4) float, optional
-            Start pose.
+            Start pose; by default the initial pose, see `set_initial_pose`.
         cancelled, progress : optional
             Returns whether to cancel; receives the share that is done.
 
@@ -180,6 +210,8 @@ class Session:
             received, frame_id = state.collection.received, state.collection.frame_id or ''
             if landmarks is None:
                 landmarks = state.landmarks.pairs
+            if T_tracker_bone is None:
+                T_tracker_bone = state.guess
             self._solving = True
         try:
             result = register(points.positions,
@@ -215,7 +247,11 @@ class Session:
         If an earlier verification point is touched again, the answer says how far it has moved.
         """
         with self._lock:
-            return self._state.verify(now)
+            answer = self._state.verify(now)
+            withdrawn = self._state.withdrawn
+            if withdrawn is not None and answer.detail is not None:
+                self._notices.set(withdrawn.message, warning=True)
+            return answer
 
     def set_model(self, field: Field) -> bool:
         """

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import uuid
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,13 +13,16 @@ import numpy as np
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import InputError, RegistrationResult
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points, Rejection, Sample
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.registration.stroke_report import StrokeReport, interference_message
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
 from gsdf_registration.session.collection import Collection, Stroke
 from gsdf_registration.session.events import Listener
 from gsdf_registration.session.landmark_capture import Answer, LandmarkCapture
+from gsdf_registration.session.pose_changes import InitialPose, WithdrawnPose
 from gsdf_registration.session.record import SessionRecord, fit_of, result_to_dict
 from gsdf_registration.session.stationary_tip import StationaryTip, StationaryTipDetector
 from gsdf_registration.session.verification import (
@@ -44,12 +48,20 @@ class SessionState:
         self.accepted: AcceptedRegistration | None = None
         self.refusal: RegistrationResult | None = None      # of the last attempt, if refused
         self._accepted_last = False     # whether the last attempt since a clear was accepted
+        self.withdrawn: WithdrawnPose | None = None     # the last withdrawal since the last pose
+        self.initial_pose: InitialPose | None = None
+        self._begin()
         # changes whenever points are dropped or replaced, so that followers start again
         self.revision = 0
         self._source_of: dict[str, int] = {}        # number of each topic
         self._reported_frame: str | None = None
         self._listeners: list[Listener] = []
         self._reports: tuple[tuple[Any, ...], tuple[StrokeReport, ...]] = ((), ())
+
+    def _begin(self) -> None:
+        """Give the session a new name; its registrations are numbered from 1."""
+        self.session_id, self.registration_id = str(uuid.uuid4()), 0
+        self.initial_pose = None
 
     def listen(self, listener: Listener, from_start: bool = False) -> None:
         """Report every change to ``listener``; ``from_start``: also the present state."""
@@ -117,21 +129,53 @@ class SessionState:
 
     def clear(self, reason: str | None = None) -> None:
         """
-        Drop all points, landmarks and verification points; keep the accepted registration.
+        Drop all points, landmarks and verification points, and withdraw the pose.
 
-        ``reason``: why, if the operator did not ask for it.
+        ``reason``: why, if the operator did not ask for it: the clock of the points went back.
         """
+        if reason is None:
+            self._drop_pose(Withdrawal.CLEARED, 'the session was cleared: collect and register')
+        else:
+            self._drop_pose(Withdrawal.CLOCK_JUMPED, f'{reason}: collect and register again')
         self.collection.clear(self.config.points_frame)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
         self.verifications = []
         self._reported_frame = None
-        self.refusal, self._accepted_last = None, False
+        self.refusal = None
+        self._begin()
         self.revision += 1
         self._report('clear', reason)
         for topic in self._source_of:
             self._report('source', topic)
+
+    def withdraw_pose(self, reason: Withdrawal, message: str) -> None:
+        """Withdraw the accepted registration, if there is one; the points stay."""
         if self.accepted is not None:
-            self._report('pose', [self.accepted.frame_id, result_to_dict(self.accepted.result)])
+            self._drop_pose(reason, message)
+            self._report('no_pose', reason.value)
+
+    def _drop_pose(self, reason: Withdrawal, message: str) -> None:
+        if self.accepted is not None:
+            self.withdrawn = WithdrawnPose(reason, message, self.session_id, self.registration_id,
+                                           self.accepted.frame_id)
+        self.accepted, self._accepted_last = None, False
+
+    def set_initial_pose(self, T_tracker_bone: Array, frame_id: str) -> Answer:
+        """Search here first until a registration is accepted or the session is cleared."""
+        points_frame = self.collection.frame_id
+        if frame_id and points_frame and frame_id != points_frame:
+            return Answer(False, f'the initial pose is rejected: it is in frame "{frame_id}", but '
+                          f'the points are in "{points_frame}"')
+        self.initial_pose = InitialPose(T_tracker_bone, frame_id)
+        return Answer(True, 'the initial pose is the first guess until a registration is accepted')
+
+    @property
+    def guess(self) -> Array | None:
+        """The initial pose T_tracker_bone (4, 4), if it is in the frame of the points."""
+        initial = self.initial_pose
+        if initial is None or initial.frame_id not in ('', self.collection.frame_id):
+            return None
+        return initial.T_tracker_bone
 
     def capture_landmark(self, now: float | None) -> Answer:
         """Capture the stationary tip as the next landmark; its points are not used in the fit."""
@@ -161,11 +205,16 @@ class SessionState:
                 'used the points measured here; lift the probe and touch another place')
         distance = surface_distance(self.field, accepted.result.T_bone_tracker, tip.position)
         latest = make_verification(tip, distance, self.verifications)
-        answer = Answer(latest.within(limit), describe(latest, self.verifications, limit))
+        message = describe(latest, self.verifications, limit)
         self.verifications.append(latest)
         self._withdraw(tip)
         self._report('verification', plain(latest))
-        return answer
+        if (latest.moved_m or 0.0) > limit:
+            self.withdraw_pose(Withdrawal.ARRAY_DISPLACED, (
+                f'the pose is withdrawn because checkpoint {latest.checkpoint} has moved: clear '
+                'and collect again; if another place was touched, register again'))
+            message += ' The pose is withdrawn'
+        return Answer(latest.within(limit), message, latest)
 
     def _withdraw(self, tip: StationaryTip) -> None:
         """Drop the points of a stationary tip; they are not used in the fit."""
@@ -189,6 +238,8 @@ class SessionState:
         result = dataclasses.replace(result, message='; '.join(filter(None, remarks)))
         self.accepted = dataclasses.replace(found, result=result)
         self.refusal, self._accepted_last = None, True
+        self.withdrawn = self.initial_pose = None
+        self.registration_id += 1
         assert result.T_bone_tracker is not None
         self.verifications = measured_again(self.verifications, self.field, result.T_bone_tracker)
         self._report('registration', {
@@ -206,8 +257,9 @@ class SessionState:
         """Set the bone model; return whether it is another one, which has no registration yet."""
         other = self.field is None or self.field.bone_sha256 != field.bone_sha256
         if other:
-            self.accepted = self.refusal = None
-            self._accepted_last = False
+            self._drop_pose(Withdrawal.MODEL_CHANGED,
+                            'another bone model was loaded: register the bone again')
+            self.refusal = self.initial_pose = None
             self.verifications = []
             self.revision += 1
             if self.field is not None:      # landmarks captured before the first model belong to it
@@ -274,8 +326,11 @@ class SessionState:
         self.verifications = saved.verifications
         self._source_of = {name: number for number, name in enumerate(saved.source_names)}
         self._reported_frame = None
-        self.accepted = None
+        self._drop_pose(Withdrawal.SESSION_LOADED,
+                        'a session without a registration was loaded: register the bone')
+        self._begin()
         if saved.pose_result is not None:
+            self.withdrawn, self.registration_id = None, 1
             registered = ~np.isnan(saved.weights)
             self.accepted = AcceptedRegistration(
                 dataclasses.replace(saved.pose_result, residuals_m=saved.residuals[registered],

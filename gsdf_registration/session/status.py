@@ -9,7 +9,9 @@ from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.common.samples import Rejection
 from gsdf_registration.registration.stroke_report import StrokeReport
+from gsdf_registration.session.landmark_capture import CapturedLandmark
 from gsdf_registration.session.notices import Notices
+from gsdf_registration.session.pose_changes import WithdrawnPose
 from gsdf_registration.session.state import SessionState
 from gsdf_registration.session.verification import VerificationSummary, summarize
 
@@ -36,6 +38,13 @@ class Status:
     landmark_errors: dict[str, float]       # m, from each landmark to its place on the bone
     verification: VerificationSummary | None    # None without verification points
     notice: str                 # on a past event, as a resumed session; else empty
+    warning: bool = False       # whether the operator should act on the notice
+    session_id: str = ''
+    registration_id: int = 0    # of the accepted registration, from 1; 0: none yet
+    pose_stamp: float = 0.0     # s, of the newest point that the accepted registration used
+    withdrawn: WithdrawnPose | None = None      # the pose withdrawn last; None after the next one
+    captured: tuple[CapturedLandmark, ...] = ()
+    full: bool = False          # whether collecting has stopped because no more points fit
 
 
 _ADVICE = {
@@ -53,7 +62,9 @@ _ADVICE = {
     Rejection.DUPLICATE:
         'most points repeat the one before: the tip does not move, or the tracker has lost it',
     Rejection.TOO_FAST: 'most points jump: is the unit of the points right, is there interference?',
-    Rejection.FULL: 'no more points can be stored (collect.max_points); register, undo or clear',
+    Rejection.FULL:
+        'collecting has stopped: no more points can be stored (collect.max_points); register, undo '
+        'the last stroke or clear',
 }
 
 
@@ -101,7 +112,14 @@ def make_status(state: SessionState, solving: bool, notices: Notices) -> Status:
         landmark_errors={} if accepted is None or accepted.T_tracker_bone is None
         else state.landmarks.errors(accepted.T_tracker_bone),
         verification=summarize(state.verifications, state.config.limits.verification),
-        notice=notices.text)
+        notice=notices.text,
+        warning=notices.warning,
+        session_id=state.session_id,
+        registration_id=state.registration_id,
+        pose_stamp=0.0 if state.accepted is None else state.accepted.newest,
+        withdrawn=state.withdrawn,
+        captured=tuple(state.landmarks.captured),
+        full=_is_full(state))
 
 
 def _sentence(name: str, state: SessionState, remaining: list[str]) -> str:
@@ -113,8 +131,9 @@ def _sentence(name: str, state: SessionState, remaining: list[str]) -> str:
         return f'registering; {amount}'
     if state.result is not None and name in ('registered', 'refused'):
         return '; '.join(part for part in (state.result.message, input_problem(state)) if part)
-    parts = [f'{"collecting" if name == "collecting" else "not collecting"}; {amount}',
-             input_problem(state)]
+    parts = [input_problem(state)]
+    activity = 'collecting' if name == 'collecting' else 'not collecting'
+    parts.insert(_is_full(state), amount if _is_full(state) else f'{activity}; {amount}')
     if remaining:
         parts.append(f'next landmark is "{remaining[0]}"')
     return '; '.join(part for part in parts if part)
@@ -123,14 +142,20 @@ def _sentence(name: str, state: SessionState, remaining: list[str]) -> str:
 def input_problem(state: SessionState) -> str:
     """Return why most samples are rejected, or that the collection is full; else empty."""
     collection, counts = state.collection, state.collection.counts
+    if _is_full(state):
+        return _ADVICE[Rejection.FULL]
     while_collecting = collection.received - counts[Rejection.NOT_COLLECTING.value]
     expected = state.config.points_frame
     advice = _ADVICE if not expected else _ADVICE | {
         Rejection.WRONG_FRAME: f'most points are not in "{expected}": is probe.frame_id right?'}
     for cause, text in advice.items():
-        full = cause is Rejection.FULL and len(collection) >= state.config.collect.max_points
-        if full or 2 * counts[cause.value] > max(while_collecting, 20):
+        if cause is not Rejection.FULL and 2 * counts[cause.value] > max(while_collecting, 20):
             return text
     if collection.frame_id == '':
         return 'the points have no frame: header.frame_id must be set by their driver'
     return ''
+
+
+def _is_full(state: SessionState) -> bool:
+    """Return whether collecting has stopped because no more points can be stored."""
+    return len(state.collection) >= state.config.collect.max_points

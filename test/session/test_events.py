@@ -15,6 +15,7 @@ from session_fixtures import sample
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field, build_field
 from gsdf_registration.mesh.bone import make_bone
 from gsdf_registration.session import Session
@@ -65,7 +66,7 @@ def registers(points: np.ndarray, *_: Any, **__: Any) -> RegistrationResult:
 
 
 ACTS = ['drag', 'drag', 'drag', 'hold', 'hold', 'landmark', 'verify', 'register', 'register',
-        'undo', 'clear', 'start', 'end', 'other probe', 'bad', 'load', 'model']
+        'undo', 'clear', 'start', 'end', 'other probe', 'bad', 'load', 'model', 'withdraw']
 
 
 def act(session: Session, what: str, at: dict[str, float], saved: list[Any], field: Field) -> None:
@@ -83,6 +84,7 @@ def act(session: Session, what: str, at: dict[str, float], saved: list[Any], fie
         'bad': lambda: send(2, 0.0003, frame='elsewhere'),
         'load': lambda: session.restore(saved[-1]) if saved else saved.append(session.to_dict()),
         'model': lambda: session.set_model(field),
+        'withdraw': lambda: session.withdraw_pose(Withdrawal.POINTS_DROPPED, 'no'),
     }
     acts[what]()
 

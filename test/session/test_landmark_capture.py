@@ -26,6 +26,7 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.common.samples import Rejection
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.session import Session
 from gsdf_registration.session import session as session_module
@@ -181,10 +182,17 @@ def test_a_checkpoint_detects_a_displaced_array(field: Field) -> None:
         answer = session.verify()
         assert answer.success is good, answer.message
     assert answer.message.endswith(
-        'checkpoint 1 moved 3.4 mm since it was first touched 10 min ago: was the array displaced?')
+        'checkpoint 1 moved 3.4 mm since it was first touched 10 min ago: was the array displaced? '
+        'The pose is withdrawn')
     total = session.status().verification
     assert total is not None and not total.good
     assert total.points == 1 and total.moved_m == pytest.approx(0.0034)
+    status = session.status()
+    assert status.pose_result is None and status.kept == 300 and status.warning
+    assert status.withdrawn is not None
+    assert status.withdrawn.reason is Withdrawal.ARRAY_DISPLACED
+    assert status.message.endswith(status.withdrawn.message)
+    assert 'there is no registration' in session.verify().message
 
 
 def test_a_new_registration_measures_the_verification_points_again(

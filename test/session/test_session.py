@@ -19,11 +19,13 @@ from session_fixtures import (
 )
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.result import InputError, Reason
+from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import transform
 from gsdf_registration.common.samples import Rejection
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.session import Session
+from gsdf_registration.session import session as session_module
 
 
 def test_landmarks_points_registration(field: Field) -> None:
@@ -96,10 +98,28 @@ def test_registers_from_a_start_pose_or_landmarks(field: Field) -> None:
     assert session.register(landmarks=(LANDMARKS, transform(T_TRACKER_BONE, LANDMARKS))).success
 
 
+def test_an_initial_pose_is_the_first_guess(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+    session, given = Session(CONFIG, field), []
+    monkeypatch.setattr(session_module, 'register', lambda *_, T_tracker_bone, **__: (
+        given.append(T_tracker_bone), RegistrationResult.refused(Reason.AMBIGUOUS, 'no'))[1])
+    assert not session.initial_pose() and session.set_initial_pose(T_TRACKER_BONE).success
+    session.register()
+    session.register(T_tracker_bone=np.eye(4))
+    assert given[0] is session.initial_pose() is T_TRACKER_BONE and given[1] is not T_TRACKER_BONE
+    send(session, surface_points(field, 2))
+    assert not session.set_initial_pose(T_TRACKER_BONE, 'map').success
+    assert session.status().warning and 'in frame "map"' in session.status().message
+
+
+def test_the_stamp_of_the_pose_is_that_of_the_newest_point(field: Field) -> None:
+    session = registered(field)
+    assert session.status().pose_stamp == session.points().stamps[-1] == 399.0
+
+
 def test_a_refusal_keeps_the_accepted_registration(field: Field) -> None:
     session = registered(field)
     good = session.status().pose_result
-    session.undo(), session.clear()
+    session.configure(session.config.replaced({'limits.min_points': 1000}))
     assert session.register().reason is Reason.TOO_FEW_POINTS
     status = session.status()
     assert status.state == 'refused' and status.pose_result is good and status.result is not good
@@ -124,10 +144,14 @@ def test_undo_drops_one_stroke_after_another(field: Field) -> None:
 
 def test_clear_drops_points_and_landmarks(field: Field) -> None:
     session = registered(field)
-    assert 'the accepted registration stays' in session.clear().message
+    before = session.status()
+    assert session.clear().message.endswith('verification points; the pose is withdrawn')
     status = session.status()
     assert (status.received, status.kept, status.landmarks, status.state) == (0, 0, 0, 'collecting')
-    assert status.result is None and status.pose_result is not None
+    assert status.result is status.pose_result is None and status.captured == ()
+    assert status.withdrawn.registration_id == before.registration_id == 1
+    assert status.withdrawn.session_id == before.session_id != status.session_id
+    assert 'withdrawn' not in session.clear().message
 
 
 def test_undo_drops_the_parts_of_a_split_stroke(field: Field) -> None:
@@ -160,8 +184,6 @@ def test_a_registration_is_outdated_when_its_points_are_dropped(field: Field) ->
     assert session.status().outdated and session.status().outdated
     assert session.register(T_tracker_bone=T_TRACKER_BONE).success
     assert not session.status().outdated
-    session.clear()
-    assert session.status().outdated
 
 
 def test_registration_names_a_stroke_of_interference(field: Field) -> None:
@@ -239,7 +261,9 @@ def test_restart_clears_and_reports_why(field: Field) -> None:
     session.listen(lambda event, value: reported.append((event, value)))
     session.restart('the clock went back by 3.0 s')
     status = session.status()
-    assert (status.kept, status.landmarks) == (0, 0) and status.pose_result is not None
+    assert (status.kept, status.landmarks, status.pose_result) == (0, 0, None)
+    assert status.withdrawn.reason is Withdrawal.CLOCK_JUMPED and status.warning
+    assert status.withdrawn.message.startswith('the clock went back by 3.0 s: ')
     assert status.notice == 'a new session was started: the clock went back by 3.0 s'
     assert ('clear', 'the clock went back by 3.0 s') in reported
 
