@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Benchmarks: accuracy and speed beside other libraries, on seeded problems with ground truth."""
+"""Compare accuracy and speed with other libraries, on seeded problems with ground truth."""

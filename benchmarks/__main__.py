@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-``python -m benchmarks NAME``: measure accuracy and speed beside other libraries.
+``python -m benchmarks NAME``: compare accuracy and speed with other libraries.
 
 Exit codes: 0 success, 2 bad usage or unreadable input (one line on stderr).
 """
@@ -20,7 +20,7 @@ BENCHMARKS = ('field', 'solve', 'search', 'trust', 'paper', 'guided', 'live', 'p
 def make_parser() -> Parser:
     """Return the parser of all benchmarks; each sets its own ``run``."""
     parser = Parser(prog='python -m benchmarks',
-                    description='Measure accuracy and speed beside other libraries.',
+                    description='Compare accuracy and speed with other libraries.',
                     **example('python -m benchmarks field'))
     subparsers = parser.add_subparsers(title='benchmarks', metavar='NAME', required=True)
     for name in BENCHMARKS:

@@ -19,11 +19,11 @@ from typing import NamedTuple
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from gsdf_registration.clients.domain import own_domain
+from gsdf_registration.clients.domain import private_domain
 from gsdf_registration.clients.operator import Operator
 from gsdf_registration.common.config import settings
 from gsdf_registration.common.result import Reason
-from gsdf_registration.common.settings_schema import default_of
+from gsdf_registration.common.settings_schema import default_value
 from gsdf_registration.node.parameters import parameter_type
 from gsdf_registration.node.services import Services
 
@@ -50,7 +50,7 @@ PUBLISHED = {
     '~/status': 'state, points kept and rejected by cause, reason, what to do next; on change',
     '/diagnostics': 'the same every second',
     '~/points': 'collected points in the bone frame: x y z residual weight stroke',
-    '~/markers': 'the bone colored by the expected error, the points by residual, the next place '
+    '~/markers': 'the bone coloured by the expected error, the points by residual, the next place '
                  'to touch',
     '/tf': 'frame of the points → `model.frame_id`, re-sent at `tf.rate`; never on `/tf_static`',
 }
@@ -239,7 +239,7 @@ def _parameters() -> Iterator[str]:
         bounds = '' if low is None else f'{low:g} to {high:g}'
         if about['choices']:
             bounds = ', '.join(f'`{choice}`' for choice in about['choices'])
-        default = default_of(setting)
+        default = default_value(setting)
         shown = f'`{default}`' if default != '' else ''
         if isinstance(default, float):
             shown = f'`{default:g}`'
@@ -253,7 +253,7 @@ def _parameters() -> Iterator[str]:
 def main() -> int:
     """Start a node, inspect it and write both."""
     from gsdf_registration.cli.demo import running
-    with own_domain() as environment, tempfile.TemporaryDirectory() as folder:
+    with private_domain() as environment, tempfile.TemporaryDirectory() as folder:
         os.environ.update(environment)
         given = PARAMETERS | {'session.path': f'{folder}/session.json'}
         words = [word for name, value in given.items() for word in ('-p', f'{name}:={value}')]

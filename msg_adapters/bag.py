@@ -126,7 +126,7 @@ def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np
     positions = np.zeros((len(messages), 3))
     frames = []
     for i, raw in enumerate(messages):
-        message = _message(path, i, raw)
+        message = decode_message(path, i, raw)
         position = POSITION[raw.msgtype](message)
         times[i] = stamps.to_seconds(message.header.stamp.sec, message.header.stamp.nanosec)
         positions[i] = position.x, position.y, position.z
@@ -134,8 +134,8 @@ def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np
     return times, frames, positions
 
 
-def _message(path: Path, i: int, raw: Raw) -> Any:
-    """Deserialize message number ``i`` of those read."""
+def decode_message(path: Path, i: int, raw: Raw) -> Any:
+    """Deserialize message number ``i`` (from 0); raise `InputError` if it is damaged."""
     try:
         return TYPES.deserialize_cdr(raw.data, raw.msgtype)
     except Exception:  # damaged bytes can cause any exception in the decoder
@@ -150,13 +150,13 @@ def _transforms(path: Path, messages: list[Raw], points: Sequence[str]) -> list[
         if raw.topic in points:
             after += 1
         elif raw.topic in FRAMES:
-            for each in _message(path, i, raw).transforms:
+            for each in decode_message(path, i, raw).transforms:
                 motion = each.transform
                 transforms.append(_transform(after, each.header, motion.translation,
                                              motion.rotation, each.child_frame_id,
                                              FRAMES[raw.topic]))
         else:
-            message = _message(path, i, raw)
+            message = decode_message(path, i, raw)
             transforms.append(_transform(after, message.header, message.pose.position,
                                          message.pose.orientation))
     return transforms

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import csv
 import os
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -35,12 +36,35 @@ class _Tool(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """The values of a valid line, in the unit of the file."""
+    """The values of a valid line, in the unit of the file, and its cells by column."""
 
     position: list[float]
     error: float
     time: float | None
     line: int
+    cells: dict[str, str]
+
+
+class TrackedTool(NamedTuple):
+    """
+    The samples of a tool with State OK.
+
+    label : port label
+    columns : names of the columns of its block
+    samples : at least one
+    stamps : (n,) float64, s, or None if no sample has a time
+    lost : number of lines without State OK
+    """
+
+    label: str
+    columns: Collection[str]
+    samples: list[_Sample]
+    stamps: Array | None
+    lost: int
+
+    def positions(self) -> Array:
+        """Return the positions (n, 3), m."""
+        return np.array([sample.position for sample in self.samples]) * METRES['mm']
 
 
 def is_ndi(path: str | os.PathLike[str]) -> bool:
@@ -72,32 +96,37 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
         missing or ambiguous, or it was never tracked.
 
     """
+    tracked = read_tool(path, tool)
+    errors = np.array([sample.error for sample in tracked.samples]) * METRES['mm']
+    return Recording(positions=tracked.positions(), stamps=tracked.stamps,
+                     source_names=[tracked.label],
+                     quality=errors if 'Error' in tracked.columns else None,
+                     dropped={'tracking_state': tracked.lost} if tracked.lost else {})
+
+
+def read_tool(path: str | os.PathLike[str], wanted: str | None = None) -> TrackedTool:
+    """Return the valid samples of one tool; arguments and errors as in `read_ndi`."""
     text = enumerate(read_text(path).splitlines(), start=1)
     lines = [(number, _cells(line)) for number, line in text if line.strip()]
     if not lines or not _is_header(lines[0][1]):
         raise InputError(
             f'{path} is not an NDI tracker CSV: its header is not Tools,...,{",".join(NEEDED)}')
     tools = _tools(lines[0][1])
-    chosen = _select_tool(path, tools, tool)
+    tool = _select_tool(path, tools, wanted)
     labels = {each.label for each in tools}
     samples, lost = [], 0
     for number, cells in lines[1:]:
-        block = _block(cells, chosen, labels)
-        state = chosen.columns['State']
+        block = _block(cells, tool, labels)
+        state = tool.columns['State']
         if len(block) <= state or block[state].upper() != 'OK':
             lost += 1
         else:
-            samples.append(_sample(f'{path}, line {number}', number, block, chosen))
+            samples.append(_sample(f'{path}, line {number}', number, block, tool))
     if not samples:
         raise InputError(
-            f'{path}: {chosen.label} was never tracked '
+            f'{path}: {tool.label} was never tracked '
             f'({format_count(lost, "line")}, none with State OK)')
-    errors = np.array([sample.error for sample in samples]) * METRES['mm']
-    return Recording(
-        positions=np.array([sample.position for sample in samples]) * METRES['mm'],
-        stamps=_stamps(path, samples), source_names=[chosen.label],
-        quality=errors if 'Error' in chosen.columns else None,
-        dropped={'tracking_state': lost} if lost else {})
+    return TrackedTool(tool.label, tool.columns, samples, _stamps(path, samples), lost)
 
 
 def _cells(line: str) -> list[str]:
@@ -161,7 +190,7 @@ def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
     try:
         position = [float(cells[name]) for name in ('Tx', 'Ty', 'Tz')]
         return _Sample(position, float(cells.get('Error') or 'nan'),
-                       float(time) if time else None, number)
+                       float(time) if time else None, number, cells)
     except ValueError:
         raise InputError(f'{where}: State is OK but Time, Tx, Ty, Tz or Error is not a '
                          'number (numbers need a decimal point)') from None

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from msg_adapters import ndi, stamps
-from msg_adapters.bag import TYPES
+from msg_adapters.bag import decode_message
 from msg_adapters.bag_storage import BagFiles, Topic
-from msg_adapters.files import METRES, read_text, unit_scale
+from msg_adapters.files import unit_scale
 from msg_adapters.motion import TOLERANCE
 from msg_adapters.table import Table, read_table
 
@@ -28,7 +27,7 @@ TABLES = ('.csv', '.txt', '.tsv')
 NDI_QUATERNION = ('Qx', 'Qy', 'Qz', 'Q0')
 NDI_ANGLES = ('Rz', 'Ry', 'Rx')     # deg; the rotation is Rz Ry Rx
 
-# where each message type has its position and orientation
+# position and orientation of each message type
 POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
     'geometry_msgs/msg/PoseStamped': lambda message: (message.pose.position,
                                                       message.pose.orientation),
@@ -48,7 +47,7 @@ class ToolPoses:
     stamps : (n,) float64, s, or None if the source has no times
     name : topic, tool or file
     rejected : number of readings without a valid pose, by cause
-    notes : sentences on what was unusual but could be read
+    notes : sentences on defects of the source that could be read anyway
     """
 
     T_tracker_body: Array
@@ -69,7 +68,7 @@ def read_tool_poses(path: str | os.PathLike[str], unit: str | None = None, *,
         A bag; a CSV with the header tx,ty,tz,qx,qy,qz,qw in any order and, if it has times, t, time
         or stamp (s); or an NDI tracker CSV.
     unit : {'mm', 'm'}, optional
-        Of the lengths; needed for a CSV.  A bag is in metres by default, as REP-103 demands; an NDI
+        Of the lengths; needed for a CSV.  A bag is in metres by default, as in REP-103; an NDI
         tracker CSV is in millimetres.
     tool : str, optional
         Part of the port label of the tool; needed if an NDI tracker CSV has several tools.
@@ -84,7 +83,7 @@ def read_tool_poses(path: str | os.PathLike[str], unit: str | None = None, *,
     Raises
     ------
     InputError
-        If the file cannot be read, has no poses, or it is not clear which are meant.
+        If the file cannot be read or has no poses, or the tool or topic is missing or ambiguous.
 
     """
     if Path(path).suffix.lower() not in TABLES:
@@ -125,42 +124,31 @@ def _times(table: Table) -> Array | None:
 
 
 def _from_ndi(path: str | os.PathLike[str], wanted: str | None) -> ToolPoses:
-    lines = [(number, ndi._cells(line))
-             for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
-    tools = ndi._tools(lines[0][1])
-    tool = ndi._select_tool(path, tools, wanted)
-    names = next((names for names in (NDI_QUATERNION, NDI_ANGLES) if set(names) <= set(
-        tool.columns)), None)
+    tool = ndi.read_tool(path, wanted)
+    names = next((names for names in (NDI_QUATERNION, NDI_ANGLES)
+                  if set(names) <= set(tool.columns)), None)
     if names is None:
         raise InputError(f'{path}: {tool.label} has no orientation (Q0,Qx,Qy,Qz or Rz,Ry,Rx)')
-    labels = {each.label for each in tools}
-    samples, turns, lost = [], [], 0
-    for number, cells in lines[1:]:
-        block, state = ndi._block(cells, tool, labels), tool.columns['State']
-        if len(block) <= state or block[state].upper() != 'OK':
-            lost += 1
-            continue
-        samples.append(ndi._sample(f'{path}, line {number}', number, block, tool))
+    orientations = np.empty((len(tool.samples), len(names)))
+    for row, sample in zip(orientations, tool.samples):
         try:
-            turns.append([float(block[tool.columns[name]]) for name in names])
+            row[:] = [float(sample.cells[name]) for name in names]
         except ValueError:
-            raise InputError(f'{path}, line {number}: State is OK but {", ".join(names)} are not '
-                             'all numbers') from None
-    if not samples:
-        raise InputError(f'{path}: {tool.label} was never tracked '
-                         f'({format_count(lost, "line")}, none with State OK)')
-    orientations = np.array(turns)
-    if names is NDI_ANGLES:
-        finite = np.isfinite(orientations).all(axis=1)
-        orientations = np.where(finite[:, None], orientations, 0.0)
-        quaternions = Rotation.from_euler('ZYX', orientations, degrees=True).as_quat()
-        quaternions[~finite] = np.nan
-    else:
-        quaternions = orientations
-    T, rejected = _poses(np.array([sample.position for sample in samples]) * METRES['mm'],
-                         quaternions)
-    rejected['tracking_state'] = lost
-    return ToolPoses(T, ndi._stamps(path, samples), tool.label, rejected)
+            raise InputError(f'{path}, line {sample.line}: State is OK but {", ".join(names)} are '
+                             'not all numbers') from None
+    T, rejected = _poses(tool.positions(), _quaternions(orientations) if names is NDI_ANGLES
+                         else orientations)
+    rejected['tracking_state'] = tool.lost
+    return ToolPoses(T, tool.stamps, tool.label, rejected)
+
+
+def _quaternions(angles: Array) -> Array:
+    """Return the quaternions x y z w (n, 4) of angles Rz Ry Rx (n, 3), deg; NaN if not finite."""
+    finite = np.asarray(np.isfinite(angles).all(axis=1))
+    quaternions = Rotation.from_euler('ZYX', np.where(finite[:, None], angles, 0.0),
+                                      degrees=True).as_quat()
+    quaternions[~finite] = np.nan
+    return np.asarray(quaternions)
 
 
 def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> ToolPoses:
@@ -168,11 +156,7 @@ def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> To
     topic = _chosen_topic(bag.path, bag.topics(), wanted)
     times, positions, quaternions = [], [], []
     for i, raw in enumerate(bag.messages([topic.name])):
-        try:
-            message: Any = TYPES.deserialize_cdr(raw.data, raw.msgtype)
-        except Exception:  # damaged bytes lead the decoder to any exception
-            raise InputError(f'{bag.path} is damaged: message {i + 1} on {topic.name} cannot be '
-                             'decoded') from None
+        message = decode_message(bag.path, i, raw)
         position, turn = POSES[raw.msgtype](message)
         stamp = message.header.stamp
         times.append(stamps.to_seconds(stamp.sec, stamp.nanosec))
@@ -192,10 +176,10 @@ def _chosen_topic(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
         return found[0]
     there = ', '.join(f'{topic.name} ({topic.msgtype})' for topic in topics) or 'no topics'
     if wanted is not None:
-        raise InputError(f'{path} has no poses on {wanted}: it has {there}')
+        raise InputError(f'{path} has no poses on {wanted}; it has {there}')
     raise InputError(f'{path} has {len(found) or "no"} topics with poses (PoseStamped, '
                      'PoseWithCovarianceStamped or TransformStamped)'
-                     + (': choose one with --topic' if found else '') + f'; it has {there}')
+                     + ('; choose one with --topic' if found else '') + f'; it has {there}')
 
 
 def _poses(positions: Array, quaternions: Array) -> tuple[Array, dict[str, int]]:

@@ -58,7 +58,7 @@ IMPORTS = {name: imports_of(file, set(MODULES)) for name, file in MODULES.items(
 FLOOR = {package: number for number, packages in enumerate(FLOORS) for package in packages}
 
 
-def test_the_house_is_small() -> None:
+def test_number_of_packages_and_floors_is_limited() -> None:
     packages = {package_of(name) for name in MODULES if name.startswith('gsdf_registration.')}
     loose = {name for name in packages if f'gsdf_registration.{name}' in MODULES
              and MODULES[f'gsdf_registration.{name}'].name != '__init__.py'}

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.timeout(600)
 
 
 def missing() -> str:
-    """Return what this machine lacks to build messages; empty if nothing."""
+    """Return what is missing on this machine to build messages; empty if nothing."""
     if not any(Path(prefix, 'share/rosidl_default_generators').is_dir()
                for prefix in PREFIXES.split(os.pathsep)):
         return 'rosidl_default_generators is not installed'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents say is true."""
+"""Test that links, commands, examples and names in the documents are valid."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_launch_arguments_and_parameters_that_are_named_exist() -> None:
         '( ', '(') for name in named)
 
 
-def test_rooms_that_the_architecture_names_are_there() -> None:
+def test_packages_that_the_architecture_names_exist() -> None:
     rooms = README.split('## Architecture')[1].split('## Limits')[0]
     for name in set(re.findall(r'[\w/]+(?:\.py|/(?=\*\*))', rooms)):
         assert (any((ROOT / 'gsdf_registration').rglob(name.strip('/')))

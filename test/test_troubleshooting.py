@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Test that the quotes and the names in the troubleshooting page exist in the code."""
+"""Test that the messages and the names in the troubleshooting page exist in the code."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks field``: time of building fields, beside libigl and Open3D."""
+"""``python -m benchmarks field``: compare the building of fields with libigl and Open3D."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ Peer = Callable[['Array'], 'Array']
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'field', help='time the building of fields, beside libigl and Open3D',
-        description='Measure the time of repairing a mesh and building its field, beside the '
-        'signed distances of libigl and Open3D at the same nodes. Measure also the error against '
+        'field', help='compare the building of fields with libigl and Open3D',
+        description='Measure the time to repair a mesh and build its field, and the time of libigl '
+        'and Open3D for the signed distances at the same nodes. Also measure the error against '
         'exact distances, the memory, the size of the file and the time to load it.',
         **example('python -m benchmarks field --bones ~/bones'))
     add_bones_option(parser)

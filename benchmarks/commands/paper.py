@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks paper``: repeat the published experiments, beside other libraries."""
+"""``python -m benchmarks paper``: repeat the published experiments, also with other libraries."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'paper',
-        help='repeat the experiments of the paper, beside other libraries',
+        help='repeat the experiments of the paper, also with other libraries',
         description='Repeat the experiments of the paper on the bones of a folder, and add '
         'structured interference and an inaccurate model. The other libraries (ICPs, CPD, JRMPC, '
         'Go-ICP, TEASER++ and more) are installed into separate environments at the first run. '

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks pivot``: pivot calibration, beside scikit-surgerycalibration."""
+"""``python -m benchmarks pivot``: compare pivot calibration with scikit-surgerycalibration."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ PEER_LIMIT = 3600.0     # s, for all recordings
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'pivot', help='measure pivot calibration, beside scikit-surgerycalibration',
-        description='Measure the error of the tip from simulated pivot recordings, beside the '
-        'three methods of scikit-surgerycalibration on the same recordings: with noise only, with '
-        'noisy orientations, wrong readings, slips of the tip, and the way to the divot.',
+        'pivot', help='compare pivot calibration with scikit-surgerycalibration',
+        description='Measure the error of the tip in simulated pivot recordings, also with the '
+        'three methods of scikit-surgerycalibration. The recordings have noise only, noisy '
+        'orientations, wrong readings, slips of the tip, or poses on the way to the divot.',
         **example('python -m benchmarks pivot --recordings 100'))
     parser.add_argument('--recordings', type=positive_number, default=50, metavar='N',
                         help='recordings per scenario (default: 50)')
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def scenarios() -> dict[str, Callable[[np.random.Generator], PivotRecording]]:
-    """Return how to make a recording of each scenario."""
+    """Return a function for each scenario that simulates a recording."""
     import numpy as np
 
     from gsdf_registration.simulation.pivoting import PoseFaults, PoseNoise, pivoting
@@ -82,7 +82,7 @@ def scenarios() -> dict[str, Callable[[np.random.Generator], PivotRecording]]:
 
 
 def approaching(recording: PivotRecording) -> PivotRecording:
-    """Return a recording whose first fifth is the way to the divot, of 0.3 m."""
+    """Return a recording whose first fifth is a motion of 0.3 m to the divot."""
     from dataclasses import replace
 
     import numpy as np
@@ -103,7 +103,7 @@ def ours(recording: PivotRecording) -> Answer:
 
 
 def peer_answers(recordings: list[PivotRecording]) -> tuple[dict[str, list[Answer]], str]:
-    """Return what each method of the peer finds, and why there is nothing, or an empty string."""
+    """Return the answers of each method of the peer, and why there are none, or an empty string."""
     import json
     import subprocess
     import tempfile

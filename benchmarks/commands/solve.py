@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m benchmarks solve``: time and accuracy of the solver, beside point-to-plane ICPs."""
+"""``python -m benchmarks solve``: compare the solver with point-to-plane ICPs."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class Row:
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'solve', help='time the solver, beside small_gicp and Open3D',
-        description='Measure the time of the local solver from three landmarks with an error of '
-        '4 mm, beside the point-to-plane ICPs of small_gicp and Open3D. Each runs on one thread, '
-        'with model and search trees prepared beforehand. A warm solve starts from the previous '
-        'solution, displaced by 0.5 mm and 0.3 deg, with known neighbours. The lower limit is the '
-        'time to sample the field in the same number of passes.',
+        'solve', help='compare the solver with small_gicp and Open3D',
+        description='Measure the time and the error of the local solver and of the point-to-plane '
+        'ICPs of small_gicp and Open3D, from three landmarks with an error of 4 mm. Each runs on '
+        'one thread, with model and search trees prepared beforehand. A warm solve starts from the '
+        'previous solution, displaced by 0.5 mm and 0.3 deg, with known neighbours. The lower '
+        'limit is the time to sample the field in the same number of passes.',
         **example('python -m benchmarks solve --bones ~/bones'))
     add_bones_option(parser)
     parser.add_argument('--points', type=positive_number, default=1000, metavar='N',
@@ -97,7 +97,7 @@ def measure(name: str, bone: Field, points: int, solves: int, seed: int) -> None
 
 def solve_all(methods: dict[str, Aligner], bone: Field, surface: Array, near: np.ndarray,
               points: int, solves: int, seed: int) -> dict[str, Row]:
-    """Return the row of each method after the same problems, of which a first one is a warm-up."""
+    """Return the row of each method for the same problems, after a first one as a warm-up."""
     import numpy as np
 
     from gsdf_registration.common import rigid
@@ -146,7 +146,7 @@ def sampled(bone: Field, seed: int) -> tuple[Array, Array]:
 
 def best_patch(surface: Array, normals: Array, seed: int) -> np.ndarray:
     """
-    Return the indices of the points in that of 50 balls which constrains the pose best.
+    Return the indices of the points in the ball, of 50, that constrains the pose best.
 
     A random ball may be on the shaft, where no method can find the pose.
     """

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The experiments of the publication, repeated beside other libraries."""
+"""The experiments of the publication, also run with other libraries."""

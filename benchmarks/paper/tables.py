@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of the experiments, beside the published figures, as TSV and Markdown."""
+"""The tables of the experiments with the published figures, as TSV and Markdown."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def _table(lines: Lines) -> str:
 
 
 def _filled(lines: Lines) -> Lines:
-    """Return the lines with at least one cell beside the name."""
+    """Return the lines that have at least one cell besides the name."""
     return [line for line in lines if any(line[1:])]
 
 

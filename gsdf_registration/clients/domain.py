@@ -30,7 +30,7 @@ QUICK_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
 @contextmanager
 def private_domain() -> Iterator[dict[str, str]]:
     """
-    Reserve a ROS domain that nobody uses on this machine, until the end of the block.
+    Reserve a ROS domain that is not in use on this machine, until the end of the block.
 
     Yields
     ------

@@ -2,7 +2,7 @@
 """
 Play the points of a recording over ROS, for the demo and the tests.
 
-Run it as ``python -m gsdf_registration.clients.player BAG --topic /probe/tip``.  As with
+Run it as ``python -m gsdf_registration.clients.player BAG --topic /probe/tip``. As with
 ``ros2 bag play``, the messages are published unchanged, with the stamps of the recording.
 """
 

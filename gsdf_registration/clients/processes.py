@@ -14,7 +14,7 @@ from gsdf_registration.common.result import InputError
 
 @contextmanager
 def running(command: Sequence[str], name: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process during the block; an `InputError` in it gains the last lines of its output."""
+    """Run a process during the block; append its last output to an `InputError` of the block."""
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(command, stdout=log, stderr=log)
         try:

@@ -17,7 +17,7 @@ def cell_distances(tree, origin, edge, reach, first, last, distance):
     Compute the distance from the centres of cells to the surface, up to ``reach``.
 
     Only layers from ``first`` to before ``last`` of ``distance`` (bx, by, bz) are written, and only
-    where the distance is smaller than the value that is there.
+    where the distance is smaller than the present value.
     """
     triangle, ball = tree.triangle, tree.ball
     _, by, bz = distance.shape

@@ -3,7 +3,7 @@
 Save and load fields.
 
 A file consists of the magic number, the length of the header, the header (JSON), the arrays in
-little-endian order, and a CRC-32 of all that precedes it. Loading executes no code (no pickle).
+little-endian order, and a CRC-32 of everything before it. Loading executes no code (no pickle).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Exact signed distance and gradient to a triangle.
 
 The closest point is found with the Voronoi regions of the triangle (Ericson, Real-Time Collision
-Detection, 5.1.5). The sign is that of the pseudonormal of the closest face, edge or corner
+Detection, 5.1.5). The sign is given by the pseudonormal of the closest face, edge or corner
 (Baerentzen & Aanaes, TVCG 2005). ``tri`` is `Tree.triangle`.
 """
 

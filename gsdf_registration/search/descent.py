@@ -4,7 +4,7 @@ Robust Gauss-Newton steps for many poses of a few points: the kernels of the glo
 
 The distance of a point comes from the first-order model of the single nearest node of the
 gradient-SDF (Sommer et al., CVPR 2022): one fetch, no branches and single precision, so that the
-compiler vectorizes the loop over the points.  Its error near the surface is a few hundredths of a
+compiler vectorizes the loop over the points. Its error near the surface is a few hundredths of a
 millimetre, which is negligible for a search.
 """
 

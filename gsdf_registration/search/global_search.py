@@ -4,7 +4,7 @@ Find the pose without an initial pose, and other poses that fit nearly as well.
 
 The search starts from many poses and refines each by a few Gauss-Newton steps with increasingly
 narrow robust weights, at first with few points and the coarse nodes of the field. Only the best
-poses proceed to more points and the fine nodes.  It runs for all points and for subsets of them:
+poses proceed to more points and the fine nodes. It runs for all points and for subsets of them:
 other objects that were touched could pull the pose away, but some subset is free of them.
 """
 

@@ -18,7 +18,7 @@ MIN_SUBSET = 20         # points in a subset, if there are as many
 
 def filter_sparse(points: Array, chosen: NDArray[np.intp], radius: float) -> NDArray[np.bool_]:
     """
-    Tell which of the ``chosen`` points have about the median number of neighbours, or more.
+    Return a mask of the ``chosen`` points that have about the median number of neighbours, or more.
 
     A hand moves faster through the air than over a bone, so arcs through the air are sparser.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated recordings of a pivoted tool and of a swung leg, with what goes wrong in real ones."""
+"""Simulate tool poses of a pivot calibration and of a leg swing, with noise, slips and gaps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HIP_PLACE = (-0.15, 0.10, -1.40)        # m, tracker frame
 
 
 class PoseKind(IntEnum):
-    """What a pose is a measurement of."""
+    """The kind of a pose, known from the simulation."""
 
     IN_PLACE = 0
     SLIPPED = 1     # the point has moved to another place
@@ -30,9 +30,9 @@ class PoseKind(IntEnum):
 @dataclass(frozen=True)
 class Turning:
     """
-    How the body turns about the fixed point: it circles round a cone whose opening varies.
+    The rotation of the body about the fixed point: on a cone whose opening angle varies.
 
-    tilt, spin : rad, largest angle from the middle, and largest rotation about the body's z axis
+    tilt, spin : rad, largest angle from the mean, and largest rotation about the z axis of the body
     circle, opening, roll : s, periods of the three motions
     """
 
@@ -49,12 +49,12 @@ LEG = Turning(np.radians(20.0), np.radians(10.0), 3.1, 17.0, 7.3)
 @dataclass(frozen=True)
 class PoseNoise:
     """
-    How poses are measured, and how still the point is.
+    The noise of the tracker, and the slow motion of the fixed point.
 
     position : m per axis, independent
     orientation : rad per axis, independent
-    wander, memory : m per axis and s, standard deviation of the point's slow motion about its
-        place, and the time after which the motion is forgotten
+    wander, memory : m per axis and s, standard deviation and correlation time of the slow motion
+        of the fixed point about its place
     """
 
     position: float = 0.0002
@@ -66,10 +66,10 @@ class PoseNoise:
 @dataclass(frozen=True)
 class PoseFaults:
     """
-    What goes wrong.
+    Faults in a recording.
 
     slips : (time s, displacement m) each; the displacement is in a random direction
-    dropouts : share of the poses that are missing, in runs of up to 0.3 s
+    dropouts : share of the poses that are missing, in gaps of up to 0.3 s
     wrong : share of the poses that are wrong readings, by several cm and tens of degrees
     """
 
@@ -81,13 +81,14 @@ class PoseFaults:
 @dataclass(frozen=True)
 class PivotRecording:
     """
-    A simulated recording and what was true.
+    A simulated recording with its ground truth.
 
     stamps : (n,) float64, s
     T_tracker_body : (n, 4, 4) float64, m, as measured
     kinds : (n,) uint8, a `PoseKind` each
-    point, centre : (3,) m, the fixed point in the body frame, and its place before any slip
-    centres : (n, 3) m, its place at each pose
+    point, centre : (3,) m, the fixed point in the body frame, and its place in the tracker
+        frame before any slip
+    centres : (n, 3) m, its place at each pose, tracker frame
     """
 
     stamps: Array
@@ -103,13 +104,15 @@ def pivoting(rng: np.random.Generator, seconds: float = 20.0, rate: float = 40.0
              faults: PoseFaults = PoseFaults(), tip: ArrayLike = TIP,
              pivot: ArrayLike = PIVOT_PLACE) -> PivotRecording:
     """
-    Turn a tool with its tip in a divot.
+    Simulate a tool that is turned with its tip in a divot.
 
     Parameters
     ----------
     rng : numpy Generator; the same state gives the same recording
     seconds, rate : float, s and Hz
-    turning, noise, faults : how the tool is turned and measured, and what goes wrong
+    turning : Turning
+    noise : PoseNoise
+    faults : PoseFaults
     tip : (3,) m, tool frame
     pivot : (3,) m, tracker frame
 
@@ -147,7 +150,7 @@ def leg_swing(rng: np.random.Generator, seconds: float = 30.0, rate: float = 30.
               noise: PoseNoise = PoseNoise(wander=0.0015), faults: PoseFaults = PoseFaults(),
               hip_centre: ArrayLike = HIP_CENTRE, place: ArrayLike = HIP_PLACE) -> PivotRecording:
     """
-    Swing a leg about its hip, whose centre moves slowly by 1.5 mm per axis.
+    Simulate a leg that swings about its hip, whose centre moves slowly by 1.5 mm per axis (SD).
 
     Parameters are those of `pivoting`; ``hip_centre`` is in the frame of the reference array on the
     femur, ``place`` in the tracker frame.
@@ -157,7 +160,7 @@ def leg_swing(rng: np.random.Generator, seconds: float = 30.0, rate: float = 30.
 
 
 def _turns(stamps: Array, turning: Turning, rng: np.random.Generator) -> Rotation:
-    """Return the rotations away from the middle of the motion."""
+    """Return the rotations relative to the mean orientation."""
     circle, opening, roll = rng.uniform(0.0, 2.0 * np.pi, 3)
     tilt = turning.tilt * np.cos(2.0 * np.pi * stamps / turning.opening + opening)
     phase = 2.0 * np.pi * stamps / turning.circle + circle
@@ -181,7 +184,7 @@ def _direction(rng: np.random.Generator) -> Array:
 
 
 def _received(n: int, dropouts: float, rate: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return which poses (n,) were received."""
+    """Return a mask (n,) of the poses that were received."""
     kept = np.ones(n, dtype=bool)
     longest = max(round(0.3 * rate), 1)
     while kept.mean() > 1.0 - dropouts:

@@ -4,11 +4,11 @@ Correct the bias of noisy points on a curved bone, and weight points by anisotro
 
 A noisy point of a curved bone lies outside it on average, by half the variance of the noise times
 the divergence of the normals: 0.01 mm on a femoral head at 0.5 mm of noise, 0.04 mm at 1 mm, more
-on ridges. This is as large as the error that a thousand points leave.  A tracker is also less
-accurate along its line of sight than across.  Both effects are small, so one step after `mixture`
-has converged is enough (Le Cam's one-step estimator). It subtracts the expected bias from residuals
-and uses expected gradients, both by the unscented transform (Julier and Uhlmann 1997), and weights
-each point by the noise along its normal.
+on ridges. This is as large as the random error of a pose from a thousand points. A tracker is also
+less accurate along its line of sight than across. Both effects are small, so one step after
+`mixture` has converged is enough (Le Cam's one-step estimator). It subtracts the expected bias from
+residuals and uses expected gradients, both by the unscented transform (Julier and Uhlmann 1997),
+and weights each point by the noise along its normal.
 """
 
 from __future__ import annotations

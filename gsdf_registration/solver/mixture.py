@@ -3,11 +3,11 @@
 The default method: a mixture of points on the bone and interference.
 
 Tracker noise is white from one sample to the next; the residuals of soft tissue, of another object
-or of a wrong pose are not.  The mean residual of a point and its neighbours contains little noise,
-so it separates bone from interference much earlier than the residual of the point itself.  The
+or of a wrong pose are not. The mean residual of a point and its neighbours contains little noise,
+so it separates bone from interference much earlier than the residual of the point itself. The
 mixture is solved by expectation maximization (Dempster, Laird, Rubin 1977), which also estimates
-the noise, the standard deviation of the local means and the inlier ratio.  No point is discarded
-permanently.  Soft tissue lies outside the bone, so the density of interference is higher there.
+the noise, the standard deviation of the local means and the inlier ratio. No point is discarded
+permanently. Soft tissue lies outside the bone, so the density of interference is higher there.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
     tolerance : EM stops when the step is shorter
 
     Returns (termination, iterations, log-likelihood, whether the points are consistent with white
-    noise).  ``weight`` is filled with the probability that a point is on the bone, ``curvature``
+    noise). ``weight`` is filled with the probability that a point is on the bone, ``curvature``
     with the information that it contributes.
     """
     n, K = neighbours.shape
@@ -139,7 +139,7 @@ def _observed_information(mean, weight, local_sd, curvature):
 @kernel
 def _is_consistent(mean, white):
     """
-    Tell whether most points lie on the bone within white noise, and hardly any inside it.
+    Return whether most points lie on the bone within white noise, and hardly any inside it.
 
     Points outside may be soft tissue; an error of the model or the tracker affects both sides.
     """

@@ -5,9 +5,9 @@ Model error: correlated over a region of the bone, whereas noise is independent 
 A segmentation is off by half a voxel in places, cartilage is missing, an electromagnetic field is
 distorted. A hundred points in such a region carry hardly more information than one, so they share
 their weight: generalized least squares (Aitken 1936), with the error as a Gaussian process over the
-surface with Matern 3/2 covariance.  Its standard deviation and correlation length maximize the
+surface with Matern 3/2 covariance. Its standard deviation and correlation length maximize the
 restricted likelihood (REML; Patterson and Thompson 1971), the likelihood of the part of the
-residuals that no motion of the bone explains.  A model error is accepted if it raises the
+residuals that no motion of the bone explains. A model error is accepted if it raises the
 likelihood by more than chance does; with noise alone, nothing changes.
 """
 

@@ -3,7 +3,7 @@
 The published method: Gauss-Newton with Cauchy IRLS that discards outliers.
 
 T. Li et al., "Partial-to-Full Registration based on Gradient-SDF for Computer-Assisted Orthopedic
-Surgery", arXiv 2410.03078, Algorithm 1.  It is kept as published, for comparison: a discarded point
+Surgery", arXiv 2410.03078, Algorithm 1. It is kept as published, for comparison: a discarded point
 is never used again.
 """
 
@@ -37,7 +37,7 @@ def algorithm_1(field, points, R, t, keep, weight, e, J, history,
     Run Algorithm 1 in place on ``R`` (3, 3), ``t`` (3,); return (termination, iterations).
 
     ``keep`` (n,) bool is cleared for discarded points; ``weight``, ``e`` (n,) and ``J`` (n, 6) are
-    filled at the returned pose.  ``history`` has a row for each allowed iteration.
+    filled at the returned pose. ``history`` has a row for each allowed iteration.
     """
     A = np.zeros((6, 6))
     size2 = (points * points).sum() / len(points)

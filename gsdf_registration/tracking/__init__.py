@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How points come into the frame of the session, each at its own stamp."""
+"""Transform tracked points to the session frame; find the fixed point of a moving body."""

@@ -2,11 +2,11 @@
 """
 Detection of clocks that jump: a looped recording, a reset simulation, a probe back in view.
 
-A delayed packet or a corrupt stamp jumps too, but only once.  A jump is therefore accepted only
-when a few consecutive stamps make it and agree with one another.  Until then these samples are
-pending, and none of them is lost.  If two programs publish with different clocks, the stamps jump
-to and fro; a jump back is therefore accepted only when nothing with the earlier clock has arrived
-for a while.
+A delayed packet or a corrupt stamp jumps too, but only once. A jump is therefore accepted only
+when a few consecutive stamps make it and agree with one another. Until then these samples are
+pending, and none of them is lost. If two programs publish with different clocks, the stamps jump
+back and forth; a jump back is therefore accepted only when nothing with the earlier clock has
+arrived for a while.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ T = TypeVar('T')
 
 
 class StampCheck(NamedTuple, Generic[T]):
-    """What is decided after a sample has been added."""
+    """The outcome of adding a sample."""
 
     went_back: float    # s by which the clock is now known to have gone back; else 0
     accepted: list[T]   # samples to process, in order of arrival
@@ -38,12 +38,12 @@ class StampFilter(Generic[T]):
     Checks the stamps of one source.
 
     After ``expect_jump`` is set, because another source went back, samples with the earlier clock
-    are outliers.  If the source keeps that clock, it is accepted again after `BACK` seconds.
+    are outliers. If the source keeps that clock, it is accepted again after `BACK` seconds.
 
     Parameters
     ----------
     strict : bool
-        A jump back must be uninterrupted for `ALONE` seconds.  Once a second clock is detected, the
+        A jump back must be uninterrupted for `ALONE` seconds. Once a second clock is detected, the
         first one is kept.
 
     """
@@ -51,7 +51,7 @@ class StampFilter(Generic[T]):
     def __init__(self, strict: bool = False) -> None:
         self.expect_jump = False
         self.newest = -math.inf     # s, highest stamp since the last accepted jump
-        self.offset = 0.0           # s from a second clock, mixed in, to this one; 0: there is none
+        self.offset = 0.0           # s, this clock less a second one on the topic; 0: one clock
         self._strict = strict
         self._pending: list[T] = []     # samples that jumped; not confirmed yet
         self._pending_since = self._pending_stamp = math.nan    # stamps of the first and the last

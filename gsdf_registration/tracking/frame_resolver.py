@@ -2,7 +2,7 @@
 """
 The motion of a point into the session frame at the time it was measured.
 
-The frames of /tf lead to the tracker frame.  If the bone has a reference array, the pose of the
+The frames of /tf lead to the tracker frame. If the bone has a reference array, the pose of the
 array leads from there into the array frame.
 """
 

@@ -3,7 +3,7 @@
 Transforms each sample into the session frame at its own stamp.
 
 A sample waits until the poses of the reference array and the frames of /tf before and after it are
-known.  Samples of one topic keep their order; topics do not delay one another.
+known. Samples of one topic keep their order; topics do not delay one another.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class PointTransformer:
     """
     Passes samples in the session frame to a session; not thread-safe.
 
-    The settings are the ones of the sink.
+    It uses the settings of the sink.
 
     Parameters
     ----------

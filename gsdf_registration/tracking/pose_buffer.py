@@ -43,7 +43,7 @@ class PoseBuffer:
     """
     Poses ``T_a_b`` (4, 4), m, of a frame b in one frame a; not thread-safe.
 
-    If the clock goes back, the buffer is cleared.  A single late pose is ignored.
+    If the clock goes back, the buffer is cleared. A single late pose is ignored.
     """
 
     def __init__(self) -> None:

@@ -2,9 +2,9 @@
 """
 Ray casting on the gradient-SDF of a bone, without a display or a GPU.
 
-The ray of a pixel advances by the distance from the field until that vanishes (sphere tracing, Hart
-1996). The gradient there is the normal for shading. A bone from a point cloud is drawn like one
-from a mesh.
+The ray of a pixel advances by the distance from the field until it reaches the surface (sphere
+tracing, Hart 1996). The gradient there is the normal for shading. A bone from a point cloud is
+drawn like one from a mesh.
 """
 
 from __future__ import annotations

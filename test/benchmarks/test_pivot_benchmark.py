@@ -26,7 +26,7 @@ def test_a_row_has_errors_of_the_tips_found_and_the_rejections() -> None:
                                                                           '100.0']
 
 
-def test_says_why_a_peer_is_missing(monkeypatch: pytest.MonkeyPatch,
+def test_reports_why_a_peer_is_missing(monkeypatch: pytest.MonkeyPatch,
                                     capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(pivot, 'peer_answers', lambda recordings: ({}, 'no network'))
     assert main(['pivot', '--recordings', '1']) == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes for the tests of the mesh room."""
+"""Meshes for the tests of the mesh package."""
 
 from __future__ import annotations
 

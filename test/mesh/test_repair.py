@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Test each step of the mesh repair by itself."""
+"""Test each step of the mesh repair separately."""
 
 from __future__ import annotations
 

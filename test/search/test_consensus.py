@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sample consensus finds the pose from which soft tissue draws the local solver away."""
+"""Sample consensus finds the pose where soft tissue attracts every local solution."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated pivot recordings and leg swings have the motion, noise and faults that were asked."""
+"""Simulated pivot recordings and leg swings have the requested motion, noise and faults."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def test_without_noise_the_point_stays_exactly_in_its_place() -> None:
     np.testing.assert_allclose(places(recording), np.tile(recording.centre, (400, 1)), atol=1e-12)
 
 
-def test_the_tool_tilts_as_far_as_asked() -> None:
+def test_the_tool_tilts_by_the_requested_angle() -> None:
     recording = record(noise=EXACT, turning=Turning(np.radians(25.0), 0.0), seconds=60.0)
     axes = recording.T_tracker_body[:, :3, 2]
     widest = np.degrees(np.arccos((axes @ axes.T).min()))
     assert widest == pytest.approx(50.0, abs=2.0)
 
 
-def test_the_noise_of_the_position_is_as_asked() -> None:
+def test_the_position_has_the_requested_noise() -> None:
     off = places(record(seconds=100.0, noise=PoseNoise(0.0003, 0.0))) - record().centre
     np.testing.assert_allclose(off.std(axis=0), 0.0003, rtol=0.1)
 
 
-def test_the_noise_of_the_orientation_acts_across_the_lever_arm() -> None:
+def test_noise_of_the_orientation_acts_across_the_lever_arm() -> None:
     recording = record(seconds=100.0, noise=PoseNoise(0.0, np.radians(0.2)))
     off = np.einsum('nij,ni->nj', recording.T_tracker_body[:, :3, :3],
                     places(recording) - recording.centre)
@@ -60,7 +60,7 @@ def test_the_noise_of_the_orientation_acts_across_the_lever_arm() -> None:
     assert across == pytest.approx(np.radians(0.2) * arm, rel=0.1)
 
 
-def test_a_hip_wanders_slowly() -> None:
+def test_the_centre_of_the_hip_moves_slowly() -> None:
     recording = leg_swing(np.random.default_rng(0), 200.0, 20.0,
                           noise=PoseNoise(0.0, 0.0, wander=0.0015, memory=0.5))
     off = places(recording) - recording.centre

@@ -109,7 +109,7 @@ def test_outliers_can_be_the_majority(cup: Patch) -> None:
     assert len(scan.kinds) == 1000 and scan.on_bone.sum() == 100
 
 
-def test_timing_is_that_of_a_recording(cup: Patch) -> None:
+def test_samples_have_the_rate_speed_and_pauses_of_a_recording(cup: Patch) -> None:
     scan = simulate_scan(cup,
                3000,
                np.random.default_rng(0),

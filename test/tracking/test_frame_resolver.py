@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion into the session frame, and why there is none."""
+"""The motion into the session frame, or the reason why it is unknown."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 """
 Pivot calibrations of scikit-surgerycalibration.
 
-Run as ``python pivots.py POSES.npz``: the arrays (n, 4, 4), m, of the file are recordings.  The
+Run as ``python pivots.py POSES.npz``: the arrays (n, 4, 4), m, of the file are recordings. The
 answer is one line of JSON: for each method, for each recording, the tip (3,) in m, or None if the
 method failed, and the seconds it took.
 """
