@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gsdf_registration.common.command_line import natural_number
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
@@ -22,6 +23,20 @@ def add_bones_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--bones', metavar='DIR', default=os.environ.get('GSDF_BONES_DIR'),
                         help='folder of meshes (PLY, STL, OBJ, OFF; mm) (default: $GSDF_BONES_DIR, '
                         'else the shipped bones)')
+
+
+def add_seed_option(parser: argparse.ArgumentParser, what: str, default: int = 0) -> None:
+    """Add the option with the seed; ``what`` says of what it is."""
+    parser.add_argument('--seed', type=natural_number, default=default, metavar='N',
+                        help=f'{what} (default: {default})')
+
+
+def add_table_options(parser: argparse.ArgumentParser, row: str) -> None:
+    """Add the options with the table, one row per ``row``, and with the settings."""
+    parser.add_argument('-o', '--output', metavar='FILE.tsv',
+                        help=f'table with a row for each {row}; an existing one is continued')
+    parser.add_argument('--config', metavar='YAML',
+                        help='settings, as in config/registration.yaml')
 
 
 def bones(folder: str | None) -> list[Path]:

@@ -8,13 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, bones
-from gsdf_registration.common.command_line import (
-    example,
-    number,
-    positive_number,
-    whole_number,
-)
+from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from gsdf_registration.common.command_line import example, number, positive_number
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
@@ -29,7 +24,7 @@ def add_parser(subparsers: Any) -> None:
         'guided',
         help='compare the number of points needed with guidance and at random',
         description='Simulate short strokes on a bone and register after each. A stroke is over '
-        'the patch that the guidance proposes, or over a random place of the same exposed area. '
+        'the place that the guidance proposes, or over a random place of the same exposed area. '
         'The tables show the number of points until the error is within the limit: the predicted '
         'error (mean over runs; a run that never reaches the limit counts with all its points), '
         'the predicted error without an alternative pose (where an operator would stop), and the '
@@ -39,20 +34,16 @@ def add_parser(subparsers: Any) -> None:
     add_bones_option(parser)
     parser.add_argument('--runs', type=positive_number, default=120, metavar='N',
                         help='runs per strategy, over all bones and regions (default: 120)')
-    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
-                        help='of the first runs (default: 0)')
+    add_seed_option(parser, 'seed of the first runs')
     parser.add_argument('--strokes', type=positive_number, default=22, metavar='N',
                         help='strokes after the first two (default: 22)')
     parser.add_argument('--points', type=positive_number, default=30, metavar='N',
                         help='points per stroke, 0.34 mm apart (default: 30)')
     parser.add_argument('--limit', type=number, default=1.0, metavar='MM',
                         help='error to reach (default: 1.0)')
-    parser.add_argument('-o', '--output', metavar='FILE.tsv',
-                        help='table with a row for each run; an existing one is continued')
+    add_table_options(parser, 'run')
     parser.add_argument('--plot', metavar='OUT.html', help='plot the error against the number of '
                         'points (needs the extra "report")')
-    parser.add_argument('--config', metavar='YAML',
-                        help='settings, as in config/registration.yaml')
     parser.set_defaults(run=run)
 
 
@@ -65,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     from msg_adapters.files import write_atomically
     from msg_adapters.settings_file import read_config
 
-    if args.seed < 0 or not args.limit > 0.0:
-        raise InputError('--seed must not be negative, and --limit must be more than 0')
+    if not args.limit > 0.0:
+        raise InputError('--limit must be more than 0')
     if args.plot:
         from gsdf_registration.visualization import require_plotly
         require_plotly()

@@ -11,9 +11,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.options import SHIPPED
+from benchmarks.options import SHIPPED, add_seed_option
 from gsdf_registration.clients.processes import running
-from gsdf_registration.common.command_line import example, number, spinner, whole_number
+from gsdf_registration.common.command_line import example, number, spinner
 from gsdf_registration.common.result import InputError
 
 STARTUP = 240.0     # s; the very first start compiles the kernels and builds the field
@@ -34,14 +34,14 @@ def add_parser(subparsers: Any) -> None:
         'ready are the times of the first pose and of the status ready.',
         **example('python -m benchmarks live --seconds 60 --rates 80,1000'))
     parser.add_argument('--model', metavar='MESH', help='bone, mm (default: the shipped hip)')
-    parser.add_argument('--region', metavar='NAME', help='region that is touched (default: by the '
-                        'name of the file: hip, femur, tibia; else by the shape)')
+    parser.add_argument('--region', metavar='NAME',
+                        help='region that is touched (default: from the file name: hip, femur, '
+                        'tibia; else from the shape)')
     parser.add_argument('--rates', metavar='HZ,...', default='80,1000',
                         help='points per second, one run for each (default: 80,1000)')
     parser.add_argument('--seconds', type=number, default=60.0, metavar='S',
                         help='duration of a run (default: 60)')
-    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
-                        help='of the points (default: 0)')
+    add_seed_option(parser, 'seed of the points')
     parser.set_defaults(run=run)
 
 
@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
     from gsdf_registration.field.model import find_model
 
     rates = read_rates(args.rates)
-    if not args.seconds >= 1.0 or args.seed < 0:
-        raise InputError('--seconds must be at least 1 and --seed must not be negative')
+    if not args.seconds >= 1.0:
+        raise InputError('--seconds must be at least 1')
     case = find_cases([find_model(args.model or SHIPPED)],
                       [args.region] if args.region else [])[0]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))       # so that the node exits, too

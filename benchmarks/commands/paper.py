@@ -11,13 +11,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, bones
-from gsdf_registration.common.command_line import (
-    example,
-    positive_number,
-    spinner,
-    whole_number,
-)
+from benchmarks.options import about, add_bones_option, add_seed_option, bones
+from gsdf_registration.common.command_line import example, positive_number, spinner
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
@@ -63,10 +58,9 @@ def add_parser(subparsers: Any) -> None:
     add_bones_option(parser)
     parser.add_argument('--trials', type=positive_number, default=2, metavar='N',
                         help='seeds per case and scenario (default: 2)')
-    parser.add_argument('--seed', type=whole_number, default=SEED, metavar='N',
-                        help=f'first seed (default: {SEED})')
+    add_seed_option(parser, 'first seed', SEED)
     parser.add_argument('--methods', metavar='NAME,...', default='*',
-                        help='only these; * matches any letters (default: all)')
+                        help='only these methods; * matches any text (default: all)')
     parser.add_argument('--tables', metavar='NAME,...', default='*',
                         help='only these of regions, noise, outliers, structured, model '
                         '(default: all)')
@@ -87,8 +81,6 @@ def run(args: argparse.Namespace) -> int:
     from msg_adapters.files import write_atomically
 
     require_plotly()
-    if args.seed < 0:
-        raise InputError('--seed must not be negative')
     methods = [experiment.METHODS[name]
                for name in matching(args.methods, experiment.METHODS, 'method')]
     tables = matching(args.tables, experiment.TABLES, 'table')

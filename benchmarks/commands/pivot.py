@@ -7,7 +7,8 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.common.command_line import example, positive_number, whole_number
+from benchmarks.options import add_seed_option
+from gsdf_registration.common.command_line import example, positive_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,8 +34,7 @@ def add_parser(subparsers: Any) -> None:
         **example('python -m benchmarks pivot --recordings 100'))
     parser.add_argument('--recordings', type=positive_number, default=50, metavar='N',
                         help='recordings per scenario (default: 50)')
-    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
-                        help='of the recordings (default: 0)')
+    add_seed_option(parser, 'seed of the recordings')
     parser.set_defaults(run=run)
 
 

@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any
 
 from benchmarks.options import add_bones_option, bones
-from gsdf_registration.common.command_line import example, positive_number, whole_number
+from gsdf_registration.common.command_line import example, natural_number, positive_number
 
 POINTS = 1000           # on the bone
 OUTLIERS = (0.0, 0.9)   # share of all points
@@ -26,7 +26,7 @@ def add_parser(subparsers: Any) -> None:
     add_bones_option(parser)
     parser.add_argument('--repeats', type=positive_number, default=5, metavar='N',
                         help='registrations per row (default: 5)')
-    parser.add_argument('--threads', type=whole_number, default=0, metavar='N',
+    parser.add_argument('--threads', type=natural_number, default=0, metavar='N',
                         help='worker threads; 0: one per core (default: 0)')
     parser.set_defaults(run=run)
 
@@ -60,7 +60,7 @@ def measure(case: Any, outliers: float, repeats: int, threads: int) -> None:
     T = random_pose(rng, angle=None)
     points = simulate_scan(region_patch(case.bone, case.region), POINTS, rng,
                            tracker=Tracker(sigma=5e-4),
-                  interference=Interference(uniform=outliers), T_tracker_bone=T).positions
+                           interference=Interference(uniform=outliers), T_tracker_bone=T).positions
     config = Config.from_flat({'search.threads': threads})
     seconds = []
     for _ in range(repeats + 1):

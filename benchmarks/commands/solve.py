@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import add_bones_option, bones
+from benchmarks.options import add_bones_option, add_seed_option, bones
 from benchmarks.peers.in_process import Aligner, open3d, ours, small_gicp, warm
-from gsdf_registration.common.command_line import example, positive_number, whole_number
+from gsdf_registration.common.command_line import example, positive_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,8 +50,7 @@ def add_parser(subparsers: Any) -> None:
                         help='number of points (default: 1000)')
     parser.add_argument('--solves', type=positive_number, default=60, metavar='N',
                         help='problems per bone (default: 60)')
-    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
-                        help='of points, noise and landmarks (default: 0)')
+    add_seed_option(parser, 'seed of points, noise and landmarks')
     parser.set_defaults(run=run)
 
 

@@ -9,8 +9,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, bones
-from gsdf_registration.common.command_line import example, positive_number, whole_number
+from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
@@ -27,30 +27,26 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         'trust',
         help='count accepted poses that are wrong, and well-posed problems that are refused',
-        description='Register simulated points without an initial guess: with all kinds of '
-        'interference, of the wrong bone, of no bone. Count the right, wrong and refused poses. '
-        'Rows already in FILE are not computed again. A pose is wrong if the points are of a '
-        'wrong bone, an object or noise, or if its error exceeds 3 mm, or 1 mm + 3 times the '
-        'predicted error (RMS over the bone). A problem is well-posed if the right bone is touched '
-        'in one of the usual regions and 1.5 times the Cramer-Rao bound of the error is within '
-        'limits.max_predicted_tre and limits.max_bone_tre.',
+        description='Register simulated points without an initial guess: points with all kinds of '
+        'interference, points of a wrong bone and points of no bone. Count the right, wrong and '
+        'refused poses. Rows already in FILE are not computed again. A pose is wrong if the points '
+        'are of a wrong bone, an object or noise, or if its error exceeds 3 mm, or 1 mm + 3 times '
+        'the predicted error (RMS over the bone). A problem is well-posed if the right bone is '
+        'touched in one of the usual regions and 1.5 times the Cramer-Rao bound of the error is '
+        'within limits.max_predicted_tre and limits.max_bone_tre.',
         **example('python -m benchmarks trust --bones ~/bones --trials 3000 -o trust.tsv'))
     add_bones_option(parser)
     parser.add_argument('--regions', metavar='NAME,...', default='',
-                        help='regions of every bone (default: by the name of the file: hip, femur, '
-                        'tibia; else by the shape)')
+                        help='regions of every bone (default: from the file name: hip, femur, '
+                        'tibia; else from the shape)')
     parser.add_argument('--trials', type=positive_number, default=300, metavar='N',
                         help='number of trials (default: 300)')
     parser.add_argument('--scenarios', metavar='NAME,...', default='',
-                        help='only these; * matches any letters (default: all)')
-    parser.add_argument('--seed', type=whole_number, default=0, metavar='N',
-                        help='of the first trials (default: 0)')
+                        help='only these scenarios; * matches any text (default: all)')
+    add_seed_option(parser, 'seed of the first trials')
     parser.add_argument('--only', metavar='BONE/REGION/SCENARIO/SEED',
                         help='run one trial and print all its values')
-    parser.add_argument('-o', '--output', metavar='FILE.tsv',
-                        help='table with a row for each trial; an existing one is continued')
-    parser.add_argument('--config', metavar='YAML',
-                        help='settings, as in config/registration.yaml')
+    add_table_options(parser, 'trial')
     parser.set_defaults(run=run)
 
 
@@ -62,15 +58,13 @@ def run(args: argparse.Namespace) -> int:
     from benchmarks.trust.trial import run_trial
     from msg_adapters.settings_file import read_config
 
-    if args.seed < 0:
-        raise InputError('--seed must not be negative')
     cases = find_cases(bones(args.bones), [word for word in args.regions.split(',') if word])
     config = read_config(args.config).replaced({'search.threads': 1})
     if args.only:
         return print_trial(find_trial(args.only, cases), config)
     selected = list(islice(trials(cases, scenarios(args.scenarios), args.seed), args.trials))
     if not selected:
-        raise InputError('these scenarios are not possible with these bones; give more bones')
+        raise InputError('none of these scenarios is possible with these bones; give more bones')
     rows = run_all({trial.name: trial for trial in selected}, partial(run_trial, config=config),
                    output=Path(args.output) if args.output else None,
                    about=about(cases, args.seed, config))

@@ -135,11 +135,20 @@ def whole_number(text: str) -> int:
         raise argparse.ArgumentTypeError(f'"{text}" is not a whole number') from None
 
 
+def natural_number(text: str) -> int:
+    """Return a whole number of the command line that is at least 0."""
+    return _at_least(0, text)
+
+
 def positive_number(text: str) -> int:
     """Return a whole number of the command line that is at least 1."""
+    return _at_least(1, text)
+
+
+def _at_least(low: int, text: str) -> int:
     value = whole_number(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'must be 1 or more, not {text}')
+    if value < low:
+        raise argparse.ArgumentTypeError(f'must be {low} or more, not {text}')
     return value
 
 

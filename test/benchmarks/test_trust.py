@@ -133,7 +133,7 @@ def test_prints_one_trial(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.usefixtures('shipped')
 @pytest.mark.parametrize('options, sentence', [
     (['--scenarios', 'gremlins'], '"gremlins" is unknown'),
-    (['--scenarios', 'other_person'], 'not possible with these bones'),
+    (['--scenarios', 'other_person'], 'none of these scenarios is possible'),
     (['--trials', '0'], 'argument --trials: must be 1 or more'),
     (['--regions', 'skull'], '"skull" is unknown'),
     (['--only', 'femur/condyles/clean'], 'give BONE/REGION/SCENARIO/SEED'),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+from strokes import scattered, stroke
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.point_filters import (
@@ -12,21 +13,8 @@ from gsdf_registration.common.point_filters import (
     has_neighbours,
     on_strokes,
 )
-from gsdf_registration.common.rigid import Array
 
 MOTION = rigid.exp([0.7, -1.9, 0.4, 0.3, -0.8, 0.2])
-
-
-def stroke(n: int, height: float = 0.0) -> Array:
-    """Return points (n, 3), m, 0.35 mm apart on a curve, with the noise of a tracker."""
-    s = 3.5e-4 * np.arange(n)
-    rng = np.random.default_rng(n)
-    return np.column_stack([0.02 * np.cos(s / 0.02), 0.02 * np.sin(s / 0.02), height + 0.1 * s
-                            ]) + 2e-4 * rng.normal(size=(n, 3))
-
-
-def scattered(n: int) -> Array:
-    return np.random.default_rng(1).uniform(-0.15, 0.15, (n, 3))
 
 
 def test_finds_strokes_among_ten_times_as_many_outliers() -> None:

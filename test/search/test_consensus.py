@@ -11,7 +11,7 @@ from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
-from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.rigid import Array, rms_displacement
 from gsdf_registration.search.consensus import POSE_ERROR, SEPARATION, consensus
 from gsdf_registration.solver import nearest_neighbours, solve
 
@@ -20,12 +20,6 @@ COUNT = 48              # poses requested
 T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
 CONFIG = SolverConfig()
 SEEDS = range(3)
-
-
-def distance(a: Array, b: Array, points: Array) -> float:
-    """Return the distance between points placed by two poses (RMS), m."""
-    gap = rigid.transform(a, points) - rigid.transform(b, points)
-    return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 
 def measured(seed: int) -> Array:
@@ -55,8 +49,8 @@ def attracted(seed: int) -> tuple[Array, Array]:
 def test_finds_the_pose_if_40_percent_of_the_points_are_soft_tissue(seed: int) -> None:
     points, initial = attracted(seed)
     on_bone = points[:-SOFT]
-    assert distance(initial, T_BONE_TRACKER, on_bone) > 3e-3
-    errors = [distance(T, T_BONE_TRACKER, on_bone) for T in found_from(points, initial)]
+    assert rms_displacement(initial, T_BONE_TRACKER, on_bone) > 3e-3
+    errors = [rms_displacement(T, T_BONE_TRACKER, on_bone) for T in found_from(points, initial)]
     assert min(errors) < POSE_ERROR
 
 
@@ -67,7 +61,7 @@ def test_best_local_solution_from_the_poses_rejects_the_soft_tissue(seed: int) -
     best = max((solve(points, bone_field(), T, CONFIG, neighbours=neighbours, local_sd=POSE_ERROR)
                 for T in found_from(points, initial)), key=lambda solution: solution.rank)
     assert best.consistent
-    assert distance(best.T_bone_tracker, T_BONE_TRACKER, points[:-SOFT]) < POSE_ERROR
+    assert rms_displacement(best.T_bone_tracker, T_BONE_TRACKER, points[:-SOFT]) < POSE_ERROR
     assert (best.weights[:-SOFT] > 0.5).mean() > 0.85
     assert (best.weights[-SOFT:] > 0.5).mean() < 0.3
 
@@ -82,7 +76,7 @@ def test_poses_are_rigid_and_distinct() -> None:
     found = found_from(points, initial)
     assert len(found) > 1
     assert all(rigid.is_rigid(T, 1e-9) for T in found)
-    assert min(distance(a, b, points) for i, a in enumerate(found)
+    assert min(rms_displacement(a, b, points) for i, a in enumerate(found)
                for b in found[:i]) > 0.99 * SEPARATION
 
 
@@ -98,4 +92,4 @@ def test_is_invariant_under_rigid_motion() -> None:
     motion = rigid.exp([2.0, -1.0, 0.5, 0.3, -0.2, 0.4])
     moved = found_from(rigid.transform(motion, points), initial @ rigid.inverse(motion), 3)
     for pose, expected in zip(moved @ motion, found_from(points, initial, 3)):
-        assert distance(pose, expected, points) < 1e-5
+        assert rms_displacement(pose, expected, points) < 1e-5

@@ -10,7 +10,7 @@ from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, Refusal
-from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.rigid import Array, rms_displacement
 from gsdf_registration.search.global_search import START_POSES, VOXEL, find_start_poses
 
 SEARCH = Config().search
@@ -21,12 +21,6 @@ def measured(n: int = 600, seed: int = 0, T_tracker_bone: Array = T_TRACKER_BONE
     return rigid.transform(T_tracker_bone, touched_points(n, seed, 3e-4))
 
 
-def distance(T: Array, T_bone_tracker: Array, points: Array) -> float:
-    """Return the distance between points placed by two poses (RMS), m."""
-    gap = rigid.transform(T, points) - rigid.transform(T_bone_tracker, points)
-    return float(np.sqrt((gap**2).sum(axis=1).mean()))
-
-
 @pytest.mark.parametrize('seed', range(3))
 def test_finds_any_attitude(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -34,7 +28,7 @@ def test_finds_any_attitude(seed: int) -> None:
                       rng.uniform(-1.0, 1.0, 3))
     points = measured(seed=seed, T_tracker_bone=T)
     best = find_start_poses(points, bone_field(), SEARCH)[0]
-    assert distance(best, rigid.inverse(T), points) < 1e-3
+    assert rms_displacement(best, rigid.inverse(T), points) < 1e-3
 
 
 @pytest.mark.parametrize('place', [(0.06, 0.0, 0.0), (0.045, 0.03, 0.03)], ids=['above', 'beside'])
@@ -44,7 +38,8 @@ def test_finds_the_pose_with_strokes_on_another_object(place: Array) -> None:
     ball = place + 0.014 * ball / np.linalg.norm(ball, axis=1)[:, None]
     points = measured()
     both = np.concatenate([points, rigid.transform(T_TRACKER_BONE, ball)])
-    assert distance(find_start_poses(both, bone_field(), SEARCH)[0], T_BONE_TRACKER, points) < 1e-3
+    best = find_start_poses(both, bone_field(), SEARCH)[0]
+    assert rms_displacement(best, T_BONE_TRACKER, points) < 1e-3
 
 
 def test_finds_the_pose_with_arcs_through_the_air() -> None:
@@ -56,7 +51,8 @@ def test_finds_the_pose_with_arcs_through_the_air() -> None:
     points = measured()
     air = rigid.transform(T_TRACKER_BONE, np.concatenate(arcs))
     both = rng.permutation(np.concatenate([points, air]))
-    assert distance(find_start_poses(both, bone_field(), SEARCH)[0], T_BONE_TRACKER, points) < 1e-3
+    best = find_start_poses(both, bone_field(), SEARCH)[0]
+    assert rms_displacement(best, T_BONE_TRACKER, points) < 1e-3
 
 
 def test_is_invariant_to_order_threads_and_rigid_motion() -> None:
@@ -77,7 +73,7 @@ def test_poses_are_rigid_and_distinct_best_first() -> None:
     found = find_start_poses(points, bone_field(), SEARCH)
     assert 1 < len(found) <= START_POSES
     assert all(rigid.is_rigid(T, 1e-9) for T in found)
-    assert min(distance(a, b, points) for i, a in enumerate(found)
+    assert min(rms_displacement(a, b, points) for i, a in enumerate(found)
                for b in found[:i]) > 0.9 * VOXEL
     residual = [np.median(np.abs(bone_field().sample(rigid.transform(T, points))[0]))
                 for T in found]
@@ -92,7 +88,7 @@ def test_searches_around_an_initial_pose() -> None:
     guess = T_BONE_TRACKER @ rigid.inverse(to_centroid) @ rotation @ to_centroid
     guess[:3, 3] += 0.012
     found = find_start_poses(points, bone_field(), SEARCH, guess)
-    assert distance(found[0], T_BONE_TRACKER, points) < 1e-3
+    assert rms_displacement(found[0], T_BONE_TRACKER, points) < 1e-3
 
 
 @pytest.mark.parametrize('guess', [None, T_BONE_TRACKER], ids=['anywhere', 'guess'])

@@ -5,25 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from strokes import scattered, stroke
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.downsampling import voxel_downsample
-from gsdf_registration.common.rigid import Array
 from gsdf_registration.search.point_subsets import filter_sparse, local_subsets
 
 MOTION = rigid.exp([0.7, -1.9, 0.4, 0.3, -0.8, 0.2])
-
-
-def stroke(n: int, step: float = 3.5e-4, height: float = 0.0) -> Array:
-    """Return points (n, 3), m, ``step`` apart on a curve, with the noise of a tracker."""
-    s = step * np.arange(n)
-    rng = np.random.default_rng(n)
-    return np.column_stack([0.02 * np.cos(s / 0.02), 0.02 * np.sin(s / 0.02), height + 0.1 * s
-                            ]) + 2e-4 * rng.normal(size=(n, 3))
-
-
-def scattered(n: int) -> Array:
-    return np.random.default_rng(1).uniform(-0.15, 0.15, (n, 3))
 
 
 def test_filters_arcs_through_the_air() -> None:
