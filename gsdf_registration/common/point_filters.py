@@ -23,7 +23,7 @@ from gsdf_registration.common.rigid import Array
 RADIUS = 0.004
 MIN_NEIGHBOURS = 4      # of a point on a stroke: samples 0.3-0.6 mm apart have a dozen or more
 MIN_CLUSTER = 12        # points on a stroke
-FEW = 20                # points are compared with all others: faster than to sort the others
+FEW = 20                # fewer new points are compared with all others, faster than by a tree
 VOXELS_PER_RADIUS = 10  # neighbours are counted in a downsampled cloud: one point per voxel
 
 

@@ -56,14 +56,14 @@ class NextTouch:
     def expected_gain(self) -> str:
         """The gain of a touch at this place, as part of a sentence."""
         if self.predicted_tre is None or self.current_tre is None:
-            return 'it decides which of the poses is right'
+            return 'it shows which of the poses is right'
         return (f'the expected error falls from {format_error(self.current_tre)} to '
                 f'{format_error(self.predicted_tre)}')
 
     @property
     def label(self) -> str:
-        """The gain in one or two words, for a label beside the place."""
-        return 'decides' if self.predicted_tre is None else format_error(self.predicted_tre)
+        """The gain in one or two words, for a label at the place."""
+        return 'disambiguates' if self.predicted_tre is None else format_error(self.predicted_tre)
 
 
 class Refusal(Exception):
@@ -141,7 +141,7 @@ class RegistrationResult:
     The outcome of `register`.
 
     ``T_tracker_bone`` is None unless `success`. Lengths are in metres, angles in radians. The
-    covariance is that of the pose of the bone, in the order x y z rx ry rz (REP-103), about the
+    covariance describes the pose of the bone, in the order x y z rx ry rz (REP-103), about the
     fixed axes of the tracker frame and the origin of the bone.
     """
 

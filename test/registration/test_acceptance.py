@@ -119,7 +119,7 @@ def test_an_alternative_pose_needs_a_gap() -> None:
     refusal, = rejected_by(with_alternative(accepted(), 23.9), min_gap=24.0)
     assert refusal.reason is Reason.AMBIGUOUS
     assert refusal.message.startswith('the points fit 2 poses about equally well; touch the bone ')
-    assert len(refusal.next_touches) == 1 and refusal.next_touches[0].label == 'decides'
+    assert len(refusal.next_touches) == 1 and refusal.next_touches[0].label == 'disambiguates'
     assert reasons(with_alternative(accepted(), 24.0), min_gap=24.0) == []
 
 

@@ -141,7 +141,7 @@ def test_the_distinguishing_place_is_off_the_bone_at_the_other_pose() -> None:
     off_surface, outward = bone_field().sample(place[None])
     assert abs(off_surface[0]) < 1e-4 and outward[0] @ touch.normal > 0.9
     assert (touch.label, touch.expected_gain) == (
-        'decides', 'it decides which of the poses is right')
+        'disambiguates', 'it shows which of the poses is right')
     surface = bone_field().surface_points.astype(np.float64)
 
     def off(x: Array) -> Array:

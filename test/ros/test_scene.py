@@ -45,7 +45,7 @@ def test_late_joiner_receives_bone_and_points(tracker: Tracker,
     assert shown['patch', 0].action == Marker.DELETE
 
 
-def test_shows_the_place_that_decides_between_poses(tracker: Tracker) -> None:
+def test_shows_the_place_that_disambiguates_the_pose(tracker: Tracker) -> None:
     client = tracker.client
     assert client.collect(True).success
     tracker.send(tracker.positions[:120], tracker.steps[:120])
@@ -58,7 +58,7 @@ def test_shows_the_place_that_decides_between_poses(tracker: Tracker) -> None:
                 if marker.action == Marker.ADD}
     shown = marked(client.receive(MarkerArray, '~/markers',
                                accept=lambda array: ('patch', 0) in marked(array)))
-    assert shown['patch_label', 0].text == '1: decides'
+    assert shown['patch_label', 0].text == '1: disambiguates'
     assert ('patch', 1) not in shown
     assert client.ask('clear').success
     client.receive(MarkerArray, '~/markers', accept=lambda array: ('patch', 0) not in marked(array))
