@@ -9,17 +9,48 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import logging
 import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from gsdf_registration.common.formatting import format_count
+from gsdf_registration.common.parameter_file import (
+    foreign_sentence,
+    is_foreign,
+    parameters_of_file,
+)
 from gsdf_registration.common.result import InputError
-from gsdf_registration.common.settings_schema import flatten, setting, validate
+from gsdf_registration.common.settings_schema import flatten, setting, shortened, validate
 
 # The names of frames and files that are left empty; the node puts its own name before them.
 NAMES = {'model.frame_id': 'bone', 'reference.frame_id': 'reference_array',
          'session.path': 'registration_session.json'}
+
+
+# Settings that refer to places on one bone
+PLACES = ('landmarks.names', 'landmarks.positions', 'targets.names', 'targets.positions',
+          'guidance.near')
+
+MIN_RATE = 0.01     # Hz; the period of a timer cannot be arbitrarily long
+
+
+class UnmatchedPlaces(InputError):
+    """
+    Names of landmarks or targets do not match their positions, or ``guidance.near``.
+
+    Attributes
+    ----------
+    parameters : dotted names of the settings that do not match
+    waiting : sentence on what is missing, if they are set one after the other
+
+    """
+
+    def __init__(self, message: str, parameters: tuple[str, ...], waiting: str) -> None:
+        super().__init__(message)
+        self.parameters = parameters
+        self.waiting = waiting
 
 
 @dataclass(frozen=True)
@@ -228,22 +259,23 @@ class Config:
         """
         Return the defaults with the values of nested mappings, such as a ROS parameter file.
 
-        A node name (``registration:`` or ``/**:``) and ``ros__parameters:`` above the sections are
-        skipped, so that the node and the command line can read the same file.
+        The node and the command line can read the same file: the sections of other nodes, and
+        parameters that are no setting, are ignored.
 
         Raises
         ------
         InputError
-            As `from_flat`.
+            As `from_flat` and `parameters_of_file`.
 
         """
-        while len(values) == 1:
-            key, inner = next(iter(values.items()))
-            if key != 'ros__parameters' and not (isinstance(inner, Mapping)
-                                                 and 'ros__parameters' in inner):
-                break
-            values = inner
-        return cls.from_flat(dict(flatten(values)))
+        known = dict(settings())
+        given = parameters_of_file(values, known)
+        if given is None:
+            return cls.from_flat(dict(flatten(values)))
+        foreign = {name for name in given if is_foreign(name, known)}
+        if foreign:
+            logging.getLogger(__name__).warning(foreign_sentence(foreign))
+        return cls.from_flat({name: value for name, value in given.items() if name not in foreign})
 
     def replaced(self, values: Mapping[str, Any]) -> Config:
         """Return a copy with the dotted names in ``values`` changed; raises as `from_flat`."""
@@ -251,32 +283,44 @@ class Config:
         changes: dict[str, dict[str, Any]] = {}
         for name, value in values.items():
             if name not in known:
-                similar = difflib.get_close_matches(name, known, 1)
+                similar = difflib.get_close_matches(name[:100], known, 1)
                 hint = f'did you mean {similar[0]}? ' if similar else ''
-                raise InputError(f'unknown parameter "{name}"; {hint}'
+                raise InputError(f'unknown parameter "{shortened(name)}"; {hint}'
                                  'config/registration.yaml lists all parameters')
             section, key = name.split('.')
             changes.setdefault(section, {})[key] = validate(name, value, known[name])
         config = dataclasses.replace(self, **{
             section: dataclasses.replace(getattr(self, section), **keys)
             for section, keys in changes.items()})
-        config._check_named_points()
+        config._check()
         return config
 
-    def _check_named_points(self) -> None:
-        """Check that landmarks and targets have unique names and positions, and guidance.near."""
+    def _check(self) -> None:
+        """Check what involves several settings, or cannot be described as a range."""
+        if 0.0 < self.tf.rate < MIN_RATE:
+            raise InputError(f'tf.rate must be 0 or at least {MIN_RATE:g} Hz, not '
+                             f'{self.tf.rate:g}')
         for section in ('landmarks', 'targets'):
             points = getattr(self, section)
+            names, positions = f'{section}.names', f'{section}.positions'
             if len(points.positions) != 3 * len(points.names):
-                raise InputError(f'{section}.positions must have x, y, z for each of '
-                                 f'{section}.names: {3 * len(points.names)} numbers, not '
-                                 f'{len(points.positions)}')
+                raise UnmatchedPlaces(
+                    f'{positions} must have x, y, z for each of {names}: '
+                    f'{3 * len(points.names)} numbers, not {len(points.positions)}',
+                    (names, positions),
+                    f'{names} has {format_count(len(points.names), "entry", "entries")}, '
+                    f'{positions} has {format_count(len(points.positions), "number")}; waiting for '
+                    'the other')
             if len(set(points.names)) < len(points.names):
-                raise InputError(f'{section}.names has a duplicate name; use unique names')
+                raise InputError(f'{names} has a duplicate name; use unique names')
         for name in self.guidance.near:
             if name not in self.landmarks.names + self.targets.names:
-                raise InputError(f'guidance.near contains "{name}", which is neither a landmark '
-                                 'nor a target; add it to landmarks.names or targets.names')
+                unknown = (f'guidance.near contains "{shortened(name)}", which is neither a '
+                           'landmark nor a target')
+                raise UnmatchedPlaces(
+                    f'{unknown}; add it to landmarks.names or targets.names',
+                    ('guidance.near', 'landmarks.names', 'targets.names'),
+                    f'{unknown}; waiting for landmarks.names or targets.names')
 
     def named(self, prefix: str = '') -> Config:
         """Return a copy with ``prefix`` and a default for each of `NAMES` that is empty."""
@@ -306,3 +350,8 @@ def settings() -> Iterator[tuple[str, dataclasses.Field[Any]]]:
     for section in dataclasses.fields(Config):
         for declared in dataclasses.fields(section.default_factory):  # type: ignore[arg-type]
             yield f'{section.name}.{declared.name}', declared
+
+
+def valid_value(name: str, value: Any) -> Any:
+    """Return a value converted to the type of its setting; raise `InputError` if it cannot be."""
+    return validate(name, value, dict(settings())[name])

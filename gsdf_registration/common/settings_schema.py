@@ -11,6 +11,8 @@ from typing import Any
 
 from gsdf_registration.common.result import InputError
 
+MAX_SHOWN = 100     # characters of a value in a message
+
 
 def setting(default: Any, description: str, unit: str = '', low: float | None = None,
             high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False) -> Any:
@@ -66,14 +68,15 @@ def validate(name: str, value: Any, declared: dataclasses.Field[Any]) -> Any:
     if not _has_type(value, kind):
         wanted = {bool: 'a bool', str: 'a str', int: 'a whole number',
                   float: 'a finite number'}[kind]
-        raise InputError(f'{name} must be {wanted}, not {value!r}')
+        raise InputError(f'{name} must be {wanted}, not {shortened(value)}')
     low, high, unit, choices = (declared.metadata[key] for key in ('low', 'high', 'unit',
                                                                    'choices'))
     if low is not None and not low <= value <= high:
         raise InputError(f'{name} must lie in [{low:g}, {high:g}] {unit}'.rstrip()
                          + f', not {value:g}')
     if choices and value not in choices:
-        raise InputError(f'{name} must be one of {", ".join(choices)}, not "{value}"')
+        raise InputError(f'{name} must be one of {", ".join(choices)}, not '
+                         f'"{shortened(value)}"')
     return kind(value)
 
 
@@ -82,7 +85,7 @@ def _validate_list(name: str, value: Any) -> list[Any]:
     kind = float if name.endswith('positions') else str
     is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
     if not is_list or not all(_has_type(item, kind) for item in value):
-        raise InputError(f'{name} must be a list of {kind.__name__}, not {value!r}')
+        raise InputError(f'{name} must be a list of {kind.__name__}, not {shortened(value)}')
     return [kind(item) for item in value]
 
 
@@ -90,5 +93,18 @@ def _has_type(value: Any, kind: type) -> bool:
     """Return whether a value can be converted to ``kind`` without loss; NaN and inf cannot."""
     if kind in (bool, str):
         return isinstance(value, kind)
-    return (isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-            and (kind is float or value == int(value)))
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(value) and (kind is float or value == int(value))
+    except OverflowError:       # an int beyond the range of float
+        return False
+
+
+def shortened(value: Any) -> str:
+    """Return a value for a message: text as it is, all else as Python writes it."""
+    try:
+        text = value if isinstance(value, str) else repr(value)
+    except (ValueError, RecursionError):    # a number of too many digits; lists nested too deeply
+        text = f'a {type(value).__name__} that is too long to show'
+    return text if len(text) <= MAX_SHOWN else f'{text[:MAX_SHOWN]}...'

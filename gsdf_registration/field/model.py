@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.field import Field, cached_field, load_field
 from gsdf_registration.mesh.bone import make_bone
 from msg_adapters.points import read_model
@@ -46,7 +47,7 @@ def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
 
 def find_model(path: str) -> Path:
     """
-    Return the file of a path or of a ``package://name/path`` URI.
+    Return the regular file of a path or of a ``package://name/path`` URI.
 
     The package is searched for in the ament index, in ``share/`` of the Python prefix, and in the
     directory from which Python imports it.
@@ -54,16 +55,35 @@ def find_model(path: str) -> Path:
     Raises
     ------
     InputError
-        If the package is not installed or has no such file.
+        If the package is not installed or has no such file, or the path is not a regular file.
 
     """
-    if not path.startswith('package://'):
-        return Path(path).expanduser()
+    shown = shortened(path)
+    try:
+        if path.startswith('package://'):
+            return _find_in_package(path)
+        file = Path(path).expanduser()
+        if file.is_file():
+            return file
+        if not file.exists():
+            raise InputError(f'{shown} does not exist')
+    except RuntimeError:        # ~name of a user that does not exist
+        raise InputError(f'{shown}: there is no such user') from None
+    except (OSError, ValueError) as error:      # a name that is too long, or has a NUL byte
+        raise InputError(f'{shown}: this is not a valid path: '
+                         f'{getattr(error, "strerror", None) or error}') from None
+    raise InputError(f'{shown}: this is not a regular file')
+
+
+def _find_in_package(path: str) -> Path:
     name, _, inside = path.removeprefix('package://').partition('/')
+    if '..' in Path(inside).parts or Path(inside).is_absolute():
+        raise InputError(f'{shortened(path)}: a package URI names a file inside its package')
     for share in _shares(name):
         if (share / inside).is_file():
             return share / inside
-    raise InputError(f'{path}: package "{name}" is not installed or has no file "{inside}"')
+    raise InputError(f'{shortened(path)}: package "{shortened(name)}" is not installed or has no '
+                     f'file "{shortened(inside)}"')
 
 
 def _shares(name: str) -> list[Path]:

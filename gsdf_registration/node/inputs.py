@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.clock import JumpThreshold, TimeJump
+from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -20,6 +20,7 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import SampleSink
 from gsdf_registration.node import transforms
+from gsdf_registration.node.hints import Arrivals, type_name
 from gsdf_registration.node.qos import POINTS, UNWATCHED_POINTS
 from gsdf_registration.tracking.clock import BACK
 from gsdf_registration.tracking.frames import Frames
@@ -32,6 +33,7 @@ IDLE_PERIOD = 1.0   # s, the same if no point can wait
 MAX_BATCH = 2000    # messages of one topic per callback; then other topics are served
 SHOW_FOR = 3.0      # s for which the status says why points were rejected
 LOG_PERIOD = 10.0   # s, between two equal log lines
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)    # ROS time may stand still
 
 
 class Inputs:
@@ -43,6 +45,7 @@ class Inputs:
 
     def __init__(self, node: Node, config: Config, session: SampleSink) -> None:
         self.active = False
+        self.arrivals = Arrivals()
         self._node = node
         self._transformer = PointTransformer(session, None)
         self._delay = 0.0       # s that the last pose or transform waited in the queue
@@ -54,9 +57,17 @@ class Inputs:
             self._subscribe(PoseStamped, config.reference.topic, self._on_pose)
         self._timer: Timer | None = None
         back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-BACK),
-                             on_clock_change=False)
+                             on_clock_change=True)
         self._jumps = node.get_clock().create_jump_callback(back, post_callback=self._on_jump)
         self.configure(config)
+
+    def activate(self) -> None:
+        """Pass points on from now on."""
+        self.active = True
+        self.arrivals.restart()
+        for subscription in self._subscriptions:
+            self._node.get_logger().info(f'active, listening on {subscription.topic_name} '
+                                         f'({type_name(subscription.msg_type)})')
 
     def configure(self, config: Config) -> None:
         """Apply changed settings; /tf costs time, so it is received only if it is needed."""
@@ -71,7 +82,8 @@ class Inputs:
         # without array and /tf no point ever waits, and each check costs time
         may_wait = config.reference.topic or self._transforms is not None
         self._stop_timer()
-        self._timer = self._node.create_timer(PERIOD if may_wait else IDLE_PERIOD, self._check)
+        self._timer = self._node.create_timer(PERIOD if may_wait else IDLE_PERIOD, self._check,
+                                              clock=STEADY)
 
     def _subscribe(self, kind: Any, topic: str,
                    callback: Callable[[Any, dict[str, Any]], None]) -> None:
@@ -120,7 +132,9 @@ class Inputs:
     def _on_point(self, topic: str, message: PointStamped, info: dict[str, Any]) -> None:
         if self.active:
             arrival = self._now() - transforms.queue_delay(info)
-            self._transformer.add_point(ros.sample_from(message, topic, arrival))
+            sample = ros.sample_from(message, topic, arrival)
+            self.arrivals.add(topic, sample.stamp, arrival)
+            self._transformer.add_point(sample)
 
     def _on_transform(self, parent: str, child: str, stamp: float, T: Array, static: bool,
                       delay: float) -> None:
@@ -137,8 +151,12 @@ class Inputs:
         self._transformer.add_pose(ros.stamp_to_seconds(header.stamp), T, header.frame_id)
 
     def _on_jump(self, jump: TimeJump) -> None:
-        if self.active:
-            now = self._now()
+        if not self.active:
+            return
+        now = self._now()
+        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
+            self._transformer.local_clock_replaced(now, 'use_sim_time was changed')
+        else:
             self._transformer.local_clock_went_back(now - jump.delta.nanoseconds * 1e-9, now)
 
     def _check(self) -> None:

@@ -1,28 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loads the bone model for the node, logs the warnings and compiles the kernels."""
+"""Loads the bone model and the kernels for the node, and logs the warnings."""
 
 from __future__ import annotations
 
 import gc
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import InputError, Reason
+from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.field import Field
-from gsdf_registration.field.model import load_model
-from gsdf_registration.live.warm_pose import WarmPose
-from gsdf_registration.registration.pipeline import register
-from gsdf_registration.solver import solve
+from gsdf_registration.field.model import find_model, load_model
+from gsdf_registration.node.kernels import load_kernels
 
 
-def load(config: Config, log: RcutilsLogger) -> Field | None:
+def load(config: Config, log: RcutilsLogger,
+         show: Callable[[str], None] = lambda sentence: None) -> Field | None:
     """
     Return the field of ``model.path``; if that is empty, log a warning and return None.
+
+    It runs in the background; ``show`` receives a sentence on what is being done.
 
     Raises
     ------
@@ -34,29 +35,50 @@ def load(config: Config, log: RcutilsLogger) -> Field | None:
     if not path:
         log.warning('no bone model: model.path is empty; points are collected nevertheless')
         return None
-    log.info(f'loading {path}')
-    try:
+    _find(path)     # before a minute of compilation
+    with _no_collection():
+        load_kernels(show, log.warning)
+        log.info(f'loading {path}')
+        show(f'loading {path}; wait a moment')
         with _warnings_to(log):
-            field = load_model(path, config.model.unit, config.model.voxel_size)
-    except InputError as error:
-        reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
-        raise InputError(error.message, reason) from None
-    _compile(field, config)
-    # The objects that exist now are permanent. Without this, each full garbage collection would
-    # scan them again and stop all threads for a tenth of a second.
-    gc.collect()
-    gc.freeze()
+            field = _load(config)
     log.info(f'{path} is loaded')
     return field
 
 
-def _compile(field: Field, config: Config) -> None:
-    """Compile all kernels, so that the first registration takes no longer than later ones."""
-    points = field.surface_points[::50].astype(np.float64)
-    short = config.replaced({'search.rotations': 1, 'search.places': 1, 'search.parts': 0})
-    register(points, field, short)
-    solution = solve(points, field, np.eye(4), config.solver)
-    WarmPose(points, field, solution, config).add(np.tile(points[0], (10, 1)))
+def _find(path: str) -> None:
+    try:
+        find_model(path)
+    except InputError as error:
+        raise InputError(error.message, Reason.NO_MODEL) from None
+
+
+def _load(config: Config) -> Field:
+    model = config.model
+    try:
+        return load_model(model.path, model.unit, model.voxel_size)
+    except InputError as error:
+        reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
+        raise InputError(error.message, reason) from None
+    except (MemoryError, OSError, RecursionError) as error:
+        raise InputError(f'{shortened(model.path)} cannot be loaded: '
+                         f'{error or type(error).__name__}', Reason.NO_MODEL) from None
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """
+    Suspend the garbage collection, and make the objects that exist at the end permanent.
+
+    A full collection stops all threads for a tenth of a second or more, and would scan these
+    objects again each time.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 class _RosHandler(logging.Handler):

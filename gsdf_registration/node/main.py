@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
@@ -26,8 +27,8 @@ def main(args: list[str] | None = None) -> NoReturn:
     Both signals are blocked before the slow imports and received by sigwait, so that no handler
     interrupts the code and a second signal has no effect.
 
-    The exit status is 0 after a signal, 1 after an internal error, and 2 if the arguments or
-    parameters cannot be used.
+    The exit status is 0 after a signal, 1 after an internal error at the start, and 2 if the
+    arguments or parameters cannot be used.
 
     """
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
@@ -41,7 +42,7 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 class _Spinner(threading.Thread):
-    """Creates the node and spins it until `stop`; an exception in a callback ends the process."""
+    """Creates the node and spins it until `stop`; an exception in a callback is logged."""
 
     def __init__(self, args: list[str] | None) -> None:
         super().__init__(name='executor', daemon=True)
@@ -77,8 +78,15 @@ class _Spinner(threading.Thread):
         executor.add_node(node)
         executor.create_task(node.start)
         self._node = node
+        gc.freeze()     # see `loading`: a full collection stops all threads
         while not self._stopping.is_set():
-            executor.spin_once()
+            try:
+                executor.spin_once()
+            # noqa: BLE001 - one message or request must not end the process
+            except Exception as error:
+                node.get_logger().error(f'internal error, please report it: '
+                                        f'{type(error).__name__}: {error}')
+                node.get_logger().debug(traceback.format_exc())
         return 0
 
     def stop(self) -> int:

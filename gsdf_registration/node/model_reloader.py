@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import traceback
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
@@ -12,18 +13,14 @@ from rclpy.executors import Executor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.parameter import Parameter
 
-from gsdf_registration.common.config import Config, ModelConfig, settings
+from gsdf_registration.common.config import PLACES, Config, ModelConfig, settings
 from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.field import Field
 from gsdf_registration.field.model import find_model
-from gsdf_registration.node.background import BackgroundThread
+from gsdf_registration.node.background import BackgroundThread, Result
 from gsdf_registration.node.loading import load
 from gsdf_registration.node.parameters import parameter_type
 from gsdf_registration.session import Session
-
-# Settings that refer to places on one bone
-PLACES = ('landmarks.names', 'landmarks.positions', 'targets.names', 'targets.positions',
-          'guidance.near')
 
 
 class ModelNode(Protocol):
@@ -96,8 +93,10 @@ class ModelReloader:
                                  'registered to it; to unload it, call the transitions deactivate '
                                  'and cleanup')
             return False
-        if not find_model(model.path).is_file():
-            raise InputError(f'{model.path}: there is no such file; the current bone is kept')
+        try:
+            find_model(model.path)
+        except InputError as error:
+            raise InputError(f'{error.message}; the current bone is kept') from None
         return True
 
     def keep_places(self, config: Config) -> Config:
@@ -112,6 +111,12 @@ class ModelReloader:
         self.notice = f'loading {self._config.model.path}; the current bone is used until then'
         self._node.session.set_notice('')   # on a bone that could not be loaded
         executor.create_task(self._reload)
+
+    async def run(self, job: Callable[[], Result]) -> Result:
+        """Return what ``job`` returns; it runs on the thread that loads bones."""
+        executor = self._node.executor
+        assert executor is not None     # it runs the caller
+        return await self._background.run(executor, job)
 
     def shutdown(self) -> bool:
         """Load no more bones; return whether none is being loaded."""
@@ -128,8 +133,8 @@ class ModelReloader:
         node, config = self._node, self._config
         assert node.executor is not None
         try:
-            field = await self._background.run(node.executor,
-                                               lambda: load(config, node.get_logger()))
+            field = await self._background.run(
+                node.executor, lambda: load(config, node.get_logger(), self._show_progress))
         except InputError as error:
             self._keep_current(error)
         # noqa: BLE001 - an internal error must not lose the points
@@ -148,6 +153,10 @@ class ModelReloader:
                     self._set_parameters(self._requested)
                 self.notice = ''
         node.publish_status()
+
+    def _show_progress(self, sentence: str) -> None:
+        """Show what is done; called in the background."""
+        self.notice = f'{sentence}; the current bone is used until then'
 
     def _replace_places(self) -> None:
         """Use the landmarks and targets of the new bone, and report it if any were dropped."""

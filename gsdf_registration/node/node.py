@@ -5,64 +5,39 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable
-from functools import wraps
 from typing import Any
 
+from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from gsdf_registration.common.config import Config, settings
 from gsdf_registration.common.result import InputError
 from gsdf_registration.field import Field
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.live.worker import LiveWorker
+from gsdf_registration.node.hints import Hint, Hints
+from gsdf_registration.node.initial_pose import InitialPoseInput
 from gsdf_registration.node.inputs import Inputs
-from gsdf_registration.node.journal import NO_JOURNAL, check_path, keep_journal, move_journal
+from gsdf_registration.node.journal import SessionFiles
+from gsdf_registration.node.lifecycle import PreparedLifecycleNode, transition
 from gsdf_registration.node.loading import load
 from gsdf_registration.node.model_reloader import ModelReloader
 from gsdf_registration.node.outputs import Outputs
-from gsdf_registration.node.parameters import declare_parameters, watch_parameters
+from gsdf_registration.node.parameters import ParameterWatch, declare_parameters
 from gsdf_registration.node.publishers import StatusPublisher
+from gsdf_registration.node.qos import OFFERED
 from gsdf_registration.node.services import Services
+from gsdf_registration.node.sim_clock import SimClock
 from gsdf_registration.node.status import combined_status, sentence
 from gsdf_registration.session import Session
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.session import restart_notice
 from gsdf_registration.session.status import Status
 
-Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
-
-def _transition(during: str, after: str) -> Callable[[Transition], Transition]:
-    """
-    Set the state of the node and report failures around a transition callback.
-
-    rclpy neither exposes the lifecycle state nor logs an exception in a callback.
-    """
-    def decorate(callback: Transition) -> Transition:
-        @wraps(callback)
-        def run(self: RegistrationNode, previous: LifecycleState) -> TransitionCallbackReturn:
-            self.state, result = during, TransitionCallbackReturn.FAILURE
-            try:
-                result = callback(self, previous)
-            except InputError as error:
-                self._problem = error
-                self.get_logger().error(error.message)
-            except Exception as error:
-                self._problem = InputError(f'{callback.__name__}: {type(error).__name__}: {error}')
-                self.get_logger().fatal(self._problem.message)
-                raise       # to on_error
-            finally:
-                self._publish_status_soon()
-            success = result == TransitionCallbackReturn.SUCCESS
-            self.state = after if success else previous.label
-            return result
-        return run
-    return decorate
-
-
-class RegistrationNode(LifecycleNode):
+class RegistrationNode(PreparedLifecycleNode):
     """
     Node ``registration``.
 
@@ -77,30 +52,34 @@ class RegistrationNode(LifecycleNode):
     """
 
     def __init__(self) -> None:
-        self.state = 'unconfigured'     # lifecycle state: 'inactive', 'active', 'configuring'...
         super().__init__('registration')
+        self._sim_clock = SimClock(self)
         config = declare_parameters(self)
         self._autostart = self.declare_parameter('autostart', True, ParameterDescriptor(
             description='become active without a lifecycle manager', read_only=True)).value
         self.session = Session(config)
         self.field: Field | None = None
         self.cancelled = threading.Event()
-        self._problem: InputError | None = None     # why the last transition failed
+        self._loading = ''      # sentence on the bone that is loaded while configuring
         self._rejected = 0                          # points, at the last tick
-        self._journal = NO_JOURNAL
+        self.files = SessionFiles(self.get_logger())
         self._inputs: Inputs | None = None
         self._outputs: Outputs | None = None
         self._live: LiveWorker | None = None
         self._status = StatusPublisher(self)
         self._private_services = Services(self)
+        self._initial_pose = InitialPoseInput(self)
         self._reloader = ModelReloader(self)
-        self.create_timer(1.0, self._tick)
-        watch_parameters(self, lambda: self.session.config, self._why_fixed, self._configure)
+        self._hints = Hints(self, self.get_logger(), OFFERED)
+        # ROS time may stand still: without /clock, or after the end of a recording
+        self.create_timer(1.0, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._parameter_watch = ParameterWatch(self, lambda: self.session.config,
+                                               self._why_fixed, self._configure)
 
-    def start(self) -> None:
+    async def start(self) -> None:
         """Become active if ``autostart``; after a failure ``~/status`` says why."""
-        if self._autostart and self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-            self.trigger_activate()
+        if self._autostart and await self.change_state(Transition.TRANSITION_CONFIGURE):
+            await self.change_state(Transition.TRANSITION_ACTIVATE)
         self.publish_status()
 
     def finish(self, timeout: float) -> bool:
@@ -113,36 +92,54 @@ class RegistrationNode(LifecycleNode):
         self.destroy_node()
         return True
 
-    @_transition('configuring', 'inactive')
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load the bone, start a session, create subscriptions and publishers."""
+    async def prepare(self) -> tuple[Field | None, Session]:
+        """Load the bone and start a session, in the background."""
         config = self.session.config
-        self.publish_status()
-        self.field = load(config, self.get_logger())
-        self.session = Session(config, self.field)
-        self._journal.close()
-        self._journal = keep_journal(self.session, config.session, self.get_logger())
+
+        def job() -> tuple[Field | None, Session]:
+            field = load(config, self.get_logger(), self._show_loading)
+            session = Session(config, field)
+            self.files.open(session, config.session)
+            return field, session
+        try:
+            return await self._reloader.run(job)
+        finally:
+            self._loading = ''
+
+    def _show_loading(self, sentence: str) -> None:
+        """Show how far the bone is loaded; called in the background."""
+        self._loading = sentence
+        self.publish_status_soon()
+
+    @transition('configuring', 'inactive')
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Create subscriptions and publishers for the bone and session that are prepared."""
+        self.field, session = self.prepared()
+        config, changed = session.config, self.session.config
+        self.session = session
         self.session.listen(self._on_session_event)
         self._reloader.set_current(config.model)
-        self._problem = None
+        self.problem = None
         self._outputs = Outputs(self, config)
         self._inputs = Inputs(self, config, self.session)
+        if changed != config:   # by a parameter set meanwhile
+            self._configure(changed)
         return super().on_configure(state)
 
-    @_transition('activating', 'active')
+    @transition('activating', 'active')
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Receive points and, if ``collect.automatic``, collect them."""
         result = super().on_activate(state)
         self.cancelled.clear()
         self.session.collect(self.session.config.collect.automatic or self.session.collecting)
         if self._inputs is not None:
-            self._inputs.active = True
+            self._inputs.activate()
         if self._outputs is not None:
             self._outputs.show_bone(self.field, self.session)
         self._start_live()
         return result
 
-    @_transition('deactivating', 'inactive')
+    @transition('deactivating', 'inactive')
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop receiving points; the collected points stay."""
         self.cancelled.set()
@@ -150,15 +147,17 @@ class RegistrationNode(LifecycleNode):
             self._inputs.active = False
         self._stop_live()
         self.session.collect(False)
+        if self._outputs is not None:
+            self._outputs.withdraw(self.session)
         return super().on_deactivate(state)
 
-    @_transition('cleaningup', 'unconfigured')
+    @transition('cleaningup', 'unconfigured')
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Unload the bone and end the session."""
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
-    @_transition('shuttingdown', 'finalized')
+    @transition('shuttingdown', 'finalized')
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Unload the bone and end the session."""
         self._release()
@@ -174,12 +173,13 @@ class RegistrationNode(LifecycleNode):
     def _release(self) -> None:
         self.cancelled.set()
         self._stop_live()
+        if self._outputs is not None:
+            self._outputs.withdraw(self.session)
         for each in (self._inputs, self._outputs):
             if each is not None:
                 each.destroy()
         self._inputs, self._outputs, self.field = None, None, None
-        self._journal.close()
-        self._journal = NO_JOURNAL
+        self.files.close()
         self.session = Session(self.session.config)
 
     def refusal(self) -> str:
@@ -187,9 +187,11 @@ class RegistrationNode(LifecycleNode):
         if self.state == 'active':
             return ''
         if self.state == 'configuring':
-            return 'the bone is being loaded; wait a moment'
-        if self._problem is not None:
-            return f'{self._problem.reason}: {self._problem.message}'
+            return self._loading or 'the bone is being loaded; wait a moment'
+        if self.state == 'finalized':
+            return 'the node is finalized, which is final; start it again'
+        if self.problem is not None:
+            return f'{self.problem.reason}: {self.problem.message}'
         missing = 'configure and activate' if self.state == 'unconfigured' else 'activate'
         return f'the node is {self.state}; {missing} it first'
 
@@ -204,12 +206,13 @@ class RegistrationNode(LifecycleNode):
         return self.session.clear()
 
     def publish_status(self) -> None:
-        """Publish ``~/status`` if it has changed."""
+        """Publish ``~/status``, and the registration or its withdrawal, if they have changed."""
+        self.publish_registration()
         self._status.publish_status(self._current_status(), self._live_status)
 
     def publish_registration(self) -> None:
-        """Publish the accepted registration."""
-        if self._outputs is not None:
+        """Publish the accepted registration, or its withdrawal, if either has changed."""
+        if self._outputs is not None and self.state == 'active':
             self._outputs.show_registration(self.session)
 
     def registration_finished(self, success: bool) -> None:
@@ -235,7 +238,7 @@ class RegistrationNode(LifecycleNode):
             self._live = LiveWorker(
                 session, self.field, on_pose=outputs.show_live_pose,
                 on_assessment=lambda found: outputs.show_assessment(found, session),
-                on_status_change=self._publish_status_soon, on_error=self._on_live_error)
+                on_status_change=self.publish_status_soon, on_error=self._on_live_error)
 
     def _stop_live(self) -> None:
         if self._live is not None:
@@ -257,10 +260,10 @@ class RegistrationNode(LifecycleNode):
             self.get_logger().warning(restart_notice(value), throttle_duration_sec=0.2)
         if self._live is not None:
             self._live.notify()
-        if event != 'point':    # the status counts points once a second only
-            self._publish_status_soon()
+        if event not in ('point', 'rejected'):      # the status counts samples once a second only
+            self.publish_status_soon()
 
-    def _publish_status_soon(self) -> None:
+    def publish_status_soon(self) -> None:
         """Publish the status from the executor; for other threads and inside a transition."""
         if self.executor is not None:
             self.executor.create_task(self.publish_status)
@@ -271,21 +274,35 @@ class RegistrationNode(LifecycleNode):
         problem = '' if self._inputs is None else self._inputs.problem
         return dataclasses.replace(
             status,
-            message=refusal or sentence(problem, status.message, self._reloader.notice),
-            reason=status.reason if self._problem is None else self._problem.reason)
+            message=sentence(
+                refusal or sentence(problem, status.message, self.files.problem,
+                                    self._parameter_watch.waiting, self._reloader.notice),
+                self._hints.sentence),
+            warning=status.warning or bool(self.files.problem) or self._hints.warning,
+            reason=status.reason if self.problem is None else self.problem.reason)
 
     def _tick(self) -> None:
+        if self.state in ('active', 'inactive'):
+            self.files.check()
+        arrivals = (self._inputs.arrivals
+                    if self._inputs is not None and self.state == 'active' else None)
+        self._hints.renew(self.session.config, arrivals, self.session.collecting,
+                          [Hint(problem) for problem in (
+                              self._sim_clock.problem,
+                              '' if self._outputs is None else self._outputs.problem) if problem])
         status = self._current_status()
         self._status.publish_diagnostics(status, self._live_status)
         causes = {cause: count for cause, count in status.rejected.items()
                   if count and cause not in ('not_collecting', 'touched')}
         before, self._rejected = self._rejected, sum(causes.values())
-        if self._rejected > before:
+        if self._rejected > before:     # lift-offs and the like are normal; `problem` is not
             counts = ', '.join(f'{count} {cause}' for cause, count in causes.items())
-            self.get_logger().warning(f'points rejected so far: {counts}',
-                                      throttle_duration_sec=10.0)
+            self.get_logger().info(f'points rejected so far: {counts}',
+                                   throttle_duration_sec=10.0)
 
     def _why_fixed(self, name: str) -> str:
+        if self.state == 'configuring' and name.startswith(('model.', 'session.')):
+            return 'a bone is being loaded; wait until ~/status no longer says so'
         if self.state == 'unconfigured' or not dict(settings())[name].metadata['fixed']:
             return ''
         return (f'{name} is read when the node is configured; call the transitions deactivate and '
@@ -295,18 +312,22 @@ class RegistrationNode(LifecycleNode):
         """Apply changed settings; raise `InputError`, changing nothing, if they cannot be used."""
         before = self.session.config
         reload_needed = self._reloader.reload_needed(config)
-        check_path(config.session, before.session)
         if reload_needed:
             config = self._reloader.keep_places(config)
-        self.session.configure(config)
-        self._journal = move_journal(self.session, self._journal, config.session, self.get_logger())
+        self.files.move(config.session)
+        try:
+            self.session.configure(config)
+        except InputError:
+            self.files.move(before.session)
+            raise
         if reload_needed:
             self._reloader.start()
         if self._inputs is not None:
             if config.probe.topics != before.probe.topics:
                 self._inputs.destroy()
                 self._inputs = Inputs(self, config, self.session)
-                self._inputs.active = self.state == 'active'
+                if self.state == 'active':
+                    self._inputs.activate()
             self._inputs.configure(config)
         if self._outputs is not None and config.tf.rate != before.tf.rate:
             self._outputs.set_tf_rate(config.tf.rate)

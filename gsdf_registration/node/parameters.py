@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,16 +20,22 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from gsdf_registration.common.config import Config, settings
+from gsdf_registration.common.config import PLACES, Config, UnmatchedPlaces, settings, valid_value
+from gsdf_registration.common.parameter_file import (
+    NODE_PARAMETERS,
+    foreign_sentence,
+    is_foreign,
+)
 from gsdf_registration.common.result import InputError
-from gsdf_registration.common.settings_schema import default_value
+from gsdf_registration.common.settings_schema import default_value, shortened
 from gsdf_registration.node.naming import prefix_of
+from msg_adapters.session_file import session_path
 
-# Parameters of rclpy and launch, and those of the node that are no setting of `Config`
-FOREIGN = ('use_sim_time', 'start_type_description_service', 'autostart', 'qos_overrides')
+# Topics with messages of other types that every node, or this one, publishes or receives
+ROS_TOPICS = frozenset({'/clock', '/diagnostics', '/parameter_events', '/rosout', '/tf',
+                        '/tf_static'})
 TYPES = {bool: Parameter.Type.BOOL, int: Parameter.Type.INTEGER, float: Parameter.Type.DOUBLE,
          str: Parameter.Type.STRING}
-PAIRS = ('landmarks', 'targets')    # sections whose names and positions change together
 
 
 class _Invalid(ParameterNotDeclaredException):
@@ -54,7 +61,11 @@ def declare_parameters(node: Node) -> Config:
     # to such overrides: automatically_declare_parameters_from_overrides raises an error at them.
     given = {name: [] if each.value is None and _is_list(known.get(name)) else each.value
              for name, each in node._parameter_overrides.items()
-             if name.split('.')[0] not in FOREIGN}
+             if name.split('.')[0] not in NODE_PARAMETERS}
+    foreign = {name for name in given if is_foreign(name, known)}
+    if foreign:     # as in a section /** of a file for several nodes
+        node.get_logger().warning(foreign_sentence(foreign))
+        given = {name: value for name, value in given.items() if name not in foreign}
     config = validated(node, Config(), given)
     for name, value in config.flat().items():
         kind = parameter_type(known[name])
@@ -64,10 +75,12 @@ def declare_parameters(node: Node) -> Config:
     return config
 
 
-def watch_parameters(node: Node, current: Callable[[], Config], fixed: Callable[[str], str],
-                     change: Callable[[Config], None]) -> None:
+class ParameterWatch:
     """
-    Apply later changes; of each request either all or none.
+    Applies later changes of the parameters; of each request either all or none.
+
+    Names, positions and ``guidance.near`` may be set one after the other, as ``ros2 param load``
+    does: they are held until they match, and the settings in use stay until then.
 
     Parameters
     ----------
@@ -81,65 +94,106 @@ def watch_parameters(node: Node, current: Callable[[], Config], fixed: Callable[
         Applies the new settings; raises `InputError`, changing nothing, if they cannot be used.
 
     """
-    known = dict(settings())
 
-    def own(parameters: list[Parameter]) -> dict[str, Any]:
+    def __init__(self, node: Node, current: Callable[[], Config], fixed: Callable[[str], str],
+                 change: Callable[[Config], None]) -> None:
+        self.waiting = ''       # sentence on what is held
+        self._node = node
+        self._current = current
+        self._fixed = fixed
+        self._change = change
+        self._known = dict(settings())
+        self._held: dict[str, Any] = {}
+        node.add_pre_set_parameters_callback(self._convert)
+        node.add_on_set_parameters_callback(self._apply)
+
+    def _own(self, parameters: list[Parameter]) -> dict[str, Any]:
         return {each.name: each.value for each in parameters
-                if each.name in known or not node.has_parameter(each.name)}
+                if each.name in self._known or not self._node.has_parameter(each.name)}
 
-    def convert(parameters: list[Parameter]) -> list[Parameter]:
+    def _convert(self, parameters: list[Parameter]) -> list[Parameter]:
         """Convert integers and empty lists to the declared type, which rclpy checks next."""
         try:
-            flat = validated(node, current(), own(parameters)).flat()
+            config, held, _ = self._merged(self._own(parameters))
+            flat = config.flat() | held
         except InputError as error:
             raise _Invalid(error.message) from None
-        return [Parameter(each.name, parameter_type(known[each.name]), flat[each.name])
-                if each.name in known else each for each in parameters]
+        # noqa: BLE001 - an internal error must not end the node
+        except Exception as error:
+            raise _Invalid(self._internal_error(error)) from None
+        return [Parameter(each.name, parameter_type(self._known[each.name]), flat[each.name])
+                if each.name in self._known else each for each in parameters]
 
-    def apply(parameters: list[Parameter]) -> SetParametersResult:
-        before, values = current().flat(), own(parameters)
+    def _apply(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            for name, value in values.items():
-                reason = fixed(name) if value != before[name] else ''
-                if reason:
-                    raise InputError(reason)
-            # not in a post-set callback, because this can fail; there is no other on-set callback
-            change(current().replaced(values))
+            self._change_to(self._own(parameters))
         except InputError as error:
             return SetParametersResult(successful=False, reason=error.message)
+        # noqa: BLE001 - an internal error must not end the node
+        except Exception as error:
+            return SetParametersResult(successful=False, reason=self._internal_error(error))
         return SetParametersResult(successful=True)
 
-    node.add_pre_set_parameters_callback(convert)
-    node.add_on_set_parameters_callback(apply)
+    def _change_to(self, values: dict[str, Any]) -> None:
+        before = self._current().flat()
+        for name, value in values.items():
+            reason = self._fixed(name) if value != before[name] else ''
+            if reason:
+                raise InputError(reason)
+        config, held, waiting = self._merged(values)
+        # not in a post-set callback, because this can fail; there is no other on-set callback
+        self._change(config)
+        self._held, self.waiting = held, waiting
+        changed = [f'{name} = {shortened(value)}' for name, value in values.items()
+                   if value != before[name]]
+        if changed:
+            self._node.get_logger().debug(f'parameters set: {", ".join(changed)}')
+
+    def _merged(self, values: dict[str, Any]) -> tuple[Config, dict[str, Any], str]:
+        """Return the settings to use, the values that are held, and what they wait for."""
+        current = self._current()
+        together = {**self._held, **values}
+        try:
+            return validated(self._node, current, together), {}, ''
+        except UnmatchedPlaces as error:
+            if set(error.parameters) <= set(values):    # nothing is missing in this request
+                raise
+            held = {name: valid_value(name, value) for name, value in together.items()
+                    if name in PLACES}
+            rest = {name: value for name, value in values.items() if name not in PLACES}
+            return validated(self._node, current, rest), held, error.waiting
+
+    def _internal_error(self, error: Exception) -> str:
+        self._node.get_logger().error(traceback.format_exc())
+        return f'internal error, please report it: {type(error).__name__}: {error}'
 
 
 def validated(node: Node, config: Config, values: Mapping[str, Any]) -> Config:
     """Return ``config`` with ``values`` changed; raise `InputError` if a node cannot use them."""
-    try:
-        config = config.replaced(values)
-    except InputError as error:
-        raise InputError(error.message + _pairing_hint(values)) from None
+    config = config.replaced(values)
     config = config.named(prefix_of(node.get_namespace(), node.get_name()))
-    topics = config.probe.topics + [topic for topic in [config.reference.topic] if topic]
-    for topic in topics:
-        try:
-            validate_full_topic_name(
-                expand_topic_name(topic, node.get_name(), node.get_namespace()))
-        except (NameValidationException, ValueError):
-            raise InputError(
-                f'"{topic}" is not a valid topic name; use one like /probe/tip') from None
-        if topics.count(topic) > 1:
+    session_path(config.session.path)
+    used: set[str] = set()
+    for topic in config.probe.topics + [topic for topic in [config.reference.topic] if topic]:
+        name = _full_topic_name(node, topic)
+        if name in ROS_TOPICS or name.startswith(f'{node.get_fully_qualified_name()}/'):
+            raise InputError(f'"{shortened(topic)}" is a topic with messages of another type, used '
+                             'by this node itself; use one like /probe/tip')
+        if name in used:
             raise InputError(f'{topic} occurs twice in probe.topics and reference.topic')
+        used.add(name)
     return config
 
 
-def _pairing_hint(values: Mapping[str, Any]) -> str:
-    """Return what to do if names were set without their positions, or positions without names."""
-    for section in PAIRS:
-        if (f'{section}.names' in values) != (f'{section}.positions' in values):
-            return (f'; set {section}.names and {section}.positions in one request, with '
-                    'the service ~/set_parameters_atomically')
-    return ''
+def _full_topic_name(node: Node, topic: str) -> str:
+    """Return a topic as the node would subscribe to it; raise `InputError` if it is not valid."""
+    try:
+        full = expand_topic_name(topic, node.get_name(), node.get_namespace())
+        validate_full_topic_name(full)
+        return str(node.resolve_topic_name(topic))
+    except (NameValidationException, ValueError):
+        raise InputError(f'"{shortened(topic)}" is not a valid topic name; use one like '
+                         '/probe/tip') from None
 
 
 def parameter_type(setting: dataclasses.Field[Any]) -> Parameter.Type:

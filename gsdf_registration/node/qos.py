@@ -20,3 +20,7 @@ POINTS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT,
 # of the time to receive a point.
 UNWATCHED = PublisherEventCallbacks(use_default_callbacks=False)
 UNWATCHED_POINTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+
+# What the node offers where subscribers may ask for something else, see `node.hints`
+OFFERED = {'~/status': LATCHED, '~/bone_pose': LATCHED, '~/live_pose': QoSProfile(depth=10),
+           '/diagnostics': QoSProfile(depth=10), '/tf': QoSProfile(depth=100)}

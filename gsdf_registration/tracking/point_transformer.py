@@ -118,6 +118,11 @@ class PointTransformer:
         if self._clocks.local_clock_went_back(before):
             self._restart(now, f'the clock went back by {before - now:.1f} s')
 
+    def local_clock_replaced(self, now: float, reason: str) -> None:
+        """Restart the session: stamps of the new clock cannot be compared with earlier ones."""
+        self._clocks = ClockMonitor()
+        self._restart(now, reason)
+
     @property
     def problem(self) -> str:
         """Why samples are rejected, one sentence for each cause; empty if none is."""

@@ -70,7 +70,7 @@ def test_declares_and_describes_every_setting(client: Client) -> None:
     (Parameter('probe.topics', STRINGS, ['/a', '/a']), '/a occurs twice'),
     (Parameter('model.frame_id', STRING, 'other'), 'deactivate and cleanup'),
     (Parameter('reference.topic', STRING, '/array'), 'deactivate and cleanup'),
-    (Parameter('model.path', STRING, 'no/such.stl'), 'there is no such file'),
+    (Parameter('model.path', STRING, 'no/such.stl'), 'does not exist'),
     (Parameter('model.path', STRING, ''), 'deactivate and cleanup'),
 ], ids=lambda value: f'{value.name}={value.value}' if isinstance(value, Parameter) else '')
 def test_rejects_an_invalid_value_with_a_reason(client: Client, parameter: Parameter,

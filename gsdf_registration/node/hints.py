@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Hints on faults of the wiring, for an integrator: what is wrong, where, and what to do.
+
+They come from the graph, once a second. Events of the middleware would be checked with every
+message, which takes a third of the time to receive a point.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from gsdf_registration.common.config import Config
+from gsdf_registration.node.qos import POINTS
+
+SILENCE = 5.0       # s without a point after which the status says so
+FAR = 10.0          # s between the stamps and the clock of the node
+
+
+@dataclass(frozen=True)
+class Hint:
+    """One sentence, and whether somebody must act on it."""
+
+    sentence: str
+    warning: bool = True
+
+
+class Graph(Protocol):
+    """The node, as far as the hints use it."""
+
+    def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
+        """Return the publishers of a topic."""
+
+    def get_subscriptions_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
+        """Return the subscriptions of a topic."""
+
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        """Return all nodes."""
+
+    def get_fully_qualified_name(self) -> str:
+        """Return the name of this node with its namespace."""
+
+    def resolve_topic_name(self, topic: str) -> str:
+        """Return the name of a topic after remapping."""
+
+
+class Arrivals:
+    """When points arrived, and how far their stamps are from the clock of the node."""
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+        self._behind: dict[str, float] = {}
+
+    def restart(self) -> None:
+        """Start to wait for the first point."""
+        self._last = time.monotonic()
+        self._behind.clear()
+
+    def add(self, topic: str, stamp: float, now: float) -> None:
+        """Record a point with ``stamp`` that arrived at ``now``, clock of the node, s."""
+        self._last = time.monotonic()
+        self._behind[topic] = now - stamp
+
+    @property
+    def silence(self) -> float:
+        """The time since the last point, s."""
+        return time.monotonic() - self._last
+
+    def hints(self) -> list[Hint]:
+        """Return one hint for each topic whose stamps are far from the clock of the node."""
+        return [Hint(f'the stamps on {topic} are {_duration(abs(behind))} '
+                     f'{"behind" if behind > 0.0 else "ahead of"} the clock of this node: '
+                     'synchronize the clocks of the computers, or set use_sim_time for a recording',
+                     warning=False)
+                for topic, behind in self._behind.items() if abs(behind) > FAR]
+
+
+def input_hints(graph: Graph, config: Config, arrivals: Arrivals, waiting: bool) -> list[Hint]:
+    """
+    Return the hints on the topics that the node receives.
+
+    ``waiting``: whether points are expected now.
+    """
+    probes = [graph.resolve_topic_name(topic) for topic in config.probe.topics]
+    publishers = {topic: graph.get_publishers_info_by_topic(topic) for topic in probes}
+    hints = [hint for topic in probes
+             for hint in _mismatches(topic, publishers[topic], PointStamped, 'probe.topics')]
+    if config.reference.topic:
+        topic = graph.resolve_topic_name(config.reference.topic)
+        hints += _mismatches(topic, graph.get_publishers_info_by_topic(topic), PoseStamped,
+                             'reference.topic')
+    if waiting and arrivals.silence > SILENCE and not hints:
+        hints.append(_silence(probes, any(publishers.values())))
+    return hints + arrivals.hints()
+
+
+def output_hints(graph: Graph, offered: dict[str, QoSProfile]) -> list[Hint]:
+    """Return the hints on subscriptions that cannot receive what the node offers by topic."""
+    hints = []
+    for topic, qos in offered.items():
+        for info in graph.get_subscriptions_info_by_topic(graph.resolve_topic_name(topic)):
+            reason = _incompatible(qos, info.qos_profile)
+            if reason:
+                hints.append(Hint(f'{_node_of(info)} cannot receive '
+                                  f'{graph.resolve_topic_name(topic)}: incompatible QoS: {reason}'))
+    return hints
+
+
+def name_hints(graph: Graph) -> list[Hint]:
+    """Return a hint if another node has the same name."""
+    own = graph.get_fully_qualified_name()
+    names = [f'{namespace.rstrip("/")}/{name}'
+             for name, namespace in graph.get_node_names_and_namespaces()]
+    if names.count(own) < 2:
+        return []
+    return [Hint(f'{names.count(own)} nodes are named {own}, and their topics and services '
+                 'collide: start each in its own namespace, or give it another name')]
+
+
+class Hints:
+    """
+    All hints of a node, renewed once a second.
+
+    Parameters
+    ----------
+    graph : the node
+    log : logger of the node
+    offered : QoS by name of the topics that the node publishes
+
+    """
+
+    def __init__(self, graph: Graph, log: Any, offered: dict[str, QoSProfile]) -> None:
+        self._graph = graph
+        self._log = log
+        self._offered = offered
+        self._current: list[Hint] = []
+
+    def renew(self, config: Config, arrivals: Arrivals | None, collecting: bool,
+              more: Sequence[Hint]) -> None:
+        """
+        Look at the graph, and log the hints that are new.
+
+        ``arrivals``: of an active node. ``more``: further hints.
+        """
+        before = {hint.sentence for hint in self._current}
+        self._current = [*more, *name_hints(self._graph)]
+        if arrivals is not None:
+            self._current += input_hints(self._graph, config, arrivals, collecting)
+            self._current += output_hints(self._graph, self._offered)
+        for hint in self._current:
+            if hint.sentence in before:
+                continue
+            if hint.warning:    # rclpy identifies a log call by its line, which keeps its level
+                self._log.warning(hint.sentence)
+            else:
+                self._log.info(hint.sentence)
+
+    @property
+    def warning(self) -> bool:
+        """Whether somebody must act."""
+        return any(hint.warning for hint in self._current)
+
+    @property
+    def sentence(self) -> str:
+        """All hints; empty if there are none."""
+        return '; '.join(hint.sentence for hint in self._current)
+
+
+def _mismatches(topic: str, publishers: Sequence[TopicEndpointInfo], kind: Any,
+                setting: str) -> list[Hint]:
+    """Return the hints on publishers whose type or QoS this node cannot receive."""
+    name = type_name(kind)
+    hints = []
+    for info in publishers:
+        given = info.topic_type.replace('/msg/', '/')
+        if given != name:
+            hints.append(Hint(f'{topic} is published as {given} by {_node_of(info)}; {setting} '
+                              f'needs {name}'))
+            continue
+        reason = _incompatible(info.qos_profile, POINTS)
+        if reason:
+            hints.append(Hint(f'nothing is received on {topic} from {_node_of(info)}: '
+                              f'incompatible QoS: {reason}'))
+    return list(dict.fromkeys(hints))
+
+
+def _silence(probes: Sequence[str], published: bool) -> Hint:
+    topics = ' or '.join(probes)
+    if not published:
+        return Hint(f'nothing publishes {topics}: start the tracker, or set probe.topics')
+    return Hint(f'no point has arrived on {topics} for more than {SILENCE:g} s: is the probe in '
+                'view of the tracker?', warning=False)
+
+
+def _incompatible(offered: QoSProfile, requested: QoSProfile) -> str:
+    """Return why a subscription receives nothing from a publisher; empty if it does."""
+    compatibility, reason = qos_check_compatible(offered, requested)
+    if compatibility != QoSCompatibility.ERROR:
+        return ''
+    return ' '.join(str(reason).replace('ERROR: ', '').replace(';', ',').split()).rstrip(', ')
+
+
+def type_name(kind: Any) -> str:
+    """Return the name of a message type: geometry_msgs/PointStamped."""
+    package, _, _ = kind.__module__.partition('.')
+    return f'{package}/{kind.__name__}'
+
+
+def _node_of(info: TopicEndpointInfo) -> str:
+    return f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+
+
+def _duration(seconds: float) -> str:
+    """Return a duration that stays the same from second to second."""
+    for unit, size in (('a year', 31557600.0), ('a day', 86400.0), ('an hour', 3600.0),
+                       ('a minute', 60.0)):
+        if seconds > size:
+            return f'more than {unit}'
+    return f'more than {FAR:g} s'
