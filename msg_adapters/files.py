@@ -3,14 +3,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+import stat
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 from gsdf_registration.common.result import InputError
 
 METRES = {'mm': 0.001, 'm': 1.0}
+_KINDS = {stat.S_IFDIR: 'a directory', stat.S_IFLNK: 'a symbolic link', stat.S_IFIFO: 'a FIFO',
+          stat.S_IFSOCK: 'a socket', stat.S_IFCHR: 'a device', stat.S_IFBLK: 'a device'}
 
 
 def unit_scale(unit: str) -> float:
@@ -21,16 +27,69 @@ def unit_scale(unit: str) -> float:
         raise InputError(f'unit {unit!r} is unknown; choose mm or m') from None
 
 
+def absolute_path(path: str | os.PathLike[str]) -> Path:
+    """Return ``path`` as an absolute path, with ``~`` expanded; `InputError` if it has none."""
+    try:
+        if '\0' in os.fspath(path):
+            raise ValueError('a path contains no null byte')
+        return Path(os.path.abspath(Path(path).expanduser()))
+    except RuntimeError:
+        raise InputError(f'{path}: this user has no home directory; give an absolute '
+                         'path') from None
+    except (OSError, ValueError) as error:     # as when the current directory was deleted
+        raise InputError(f'{path}: {describe_error(error)}') from None
+
+
+def irregular(path: str | os.PathLike[str]) -> str:
+    """Return what stands at ``path``, as 'a FIFO'; empty: a regular file, or nothing."""
+    try:
+        mode = os.lstat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return ''
+    return '' if stat.S_ISREG(mode) else _KINDS.get(stat.S_IFMT(mode), 'no regular file')
+
+
 def readable_file(path: str | os.PathLike[str]) -> Path:
     """Return ``path``; raise `InputError` unless it is a file that is not empty."""
     path = Path(path)
-    if path.is_dir():
+    try:
+        found = os.stat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f'{path} does not exist') from None
+    except (OSError, ValueError) as error:     # a name that is too long, a null byte
+        raise InputError(f'{path} cannot be read: {_cause(error)}') from None
+    if stat.S_ISDIR(found.st_mode):
         raise InputError(f'{path} is a directory; choose a file')
-    if not path.is_file():
-        raise InputError(f'{path} does not exist')
-    if path.stat().st_size == 0:
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(f'{path} is {_KINDS.get(stat.S_IFMT(found.st_mode), "no file")}; choose a '
+                         'regular file')
+    if found.st_size == 0:
         raise InputError(f'{path} is empty')
     return path
+
+
+def open_file(path: str | os.PathLike[str], limit: int) -> BinaryIO:
+    """
+    Open a regular file of at most ``limit`` bytes, that is not empty, for reading.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it cannot be read.
+
+    """
+    path = readable_file(path)
+    try:
+        # should a FIFO replace the file meanwhile, this does not wait for its writer
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise InputError(f'{path} cannot be read: {_cause(error)}') from None
+    found = os.fstat(handle)
+    if stat.S_ISREG(found.st_mode) and found.st_size <= limit:
+        return open(handle, 'rb')   # noqa: SIM115 - the caller closes it
+    os.close(handle)
+    raise InputError(f'{path} is too large: {found.st_size / 1e6:.0f} MB, of at most '
+                     f'{limit / 1e6:.0f} MB')
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
@@ -42,12 +101,17 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise InputError(
             f'{path} is not UTF-8 text; save it as plain text or CSV (UTF-8)') from None
     except OSError as error:
-        raise InputError(f'{path} cannot be read: {error.strerror}') from None
+        raise InputError(f'{path} cannot be read: {_cause(error)}') from None
 
 
 def describe_error(error: Exception) -> str:
     """Return the message of an exception on one line, or its type if it has no message."""
     return ' '.join(str(error).split()).rstrip('.!') or type(error).__name__
+
+
+def _cause(error: Exception) -> str:
+    """Return the message of an exception, without the path that an OSError repeats."""
+    return (error.strerror if isinstance(error, OSError) else None) or describe_error(error)
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:
@@ -59,32 +123,47 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
     return digest.hexdigest()
 
 
-def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None:
+def write_atomically(path: str | os.PathLike[str], content: str | bytes,
+                     before: Callable[[], None] = lambda: None) -> None:
     """
     Replace a file so that a reader or a crash sees the old or the new content, never a part.
 
-    Text is encoded as UTF-8.
+    Text is encoded as UTF-8.  The file keeps its permissions; a new one can be read by everybody.
+
+    Parameters
+    ----------
+    path
+    content
+    before : callable, optional
+        Called when the content is on the disk, just before it replaces the file.
 
     Raises
     ------
     InputError
-        If the file cannot be written; the old file is then unchanged.
+        If the file cannot be written, or is a link or a device; it is then unchanged.
 
     """
     path = Path(path)
     temporary = None
     try:
+        found = irregular(path)
+        if found:
+            raise InputError(f'{path} is {found}, which is not replaced; choose another path')
+        # mkstemp creates files that only the owner can read
+        mode = stat.S_IMODE(os.stat(path).st_mode) if path.exists() else 0o644
         # in the same directory: a rename is atomic only within one file system
-        handle, temporary = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
+        handle, temporary = tempfile.mkstemp(prefix=f'.{path.name[:64]}.', dir=path.parent)
         with os.fdopen(handle, 'wb') as file:
             file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)  # mkstemp creates files that only the owner can read
+        os.chmod(temporary, mode)
+        before()
         os.replace(temporary, path)
         temporary = None
-    except OSError as error:
-        raise InputError(f'{path} cannot be written: {error.strerror}') from None
+    except (OSError, ValueError) as error:
+        raise InputError(f'{path} cannot be written: {_cause(error)}') from None
     finally:
         if temporary is not None:
-            os.unlink(temporary)
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)

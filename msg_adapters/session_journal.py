@@ -2,10 +2,14 @@
 """
 Journal of a session: every event is written as it happens, so that a killed node can resume.
 
-The first line is ``{"schema": "gsdf-journal/1", ...}``.  Each further line is an event and its
-value: ``["point", [1, 0, 1700000000.0125, 0.1, 0.2, -1.3]]``; `gsdf_registration.session.events`
-lists the events.  Every event is passed to the operating system at once, so the death of the
-process loses none; an incomplete last line is ignored.  To survive a power loss, use ``~/save``.
+The first line is ``{"schema": "gsdf-journal/2", ...}``.  Each further line is an event, its value
+and a checksum: ``["point", [1, 0, 1700000000.0125, 0.1, 0.2, -1.3], "9b2f01aa"]``;
+`gsdf_registration.session.events` lists the events.  A checksum is the CRC-32 of the line up to it,
+continued from the line before, so that a line that is changed, missing or moved is found.  What
+follows such a line is not read: it may depend on it, as the points of a stroke on its undo.
+
+Every event is passed to the operating system at once, so the death of the process loses none.  To
+survive a power loss, use ``~/save``.
 
 The file is created with the first event that is worth keeping.  An existing file, and the file of a
 session that is cleared, is kept as ``.1``, and an earlier one as ``.2``.
@@ -13,23 +17,32 @@ session that is cleared, is kept as ``.1``, and an earlier one as ``.2``.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import json
 import os
+import tempfile
 import threading
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from gsdf_registration import __version__
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
-from msg_adapters.files import write_atomically
+from msg_adapters.files import irregular, open_file
 from msg_adapters.session_file import now
 
-SCHEMA = 'gsdf-journal/1'
+SCHEMA = 'gsdf-journal/2'
 PERSISTENT = frozenset({'model', 'collecting'})     # repeated at the start of the next file
-WORTH_KEEPING = frozenset({'point', 'landmark', 'verification', 'registration', 'pose'})
+WORTH_KEEPING = frozenset({'point', 'landmark', 'verification', 'registration'})
+MAX_SIZE = 1_000_000_000    # bytes of a journal that is read
+MAX_HEAD = 1000
+RENEW_SIZE = 100_000_000    # bytes; a journal is begun again when so much has been appended
+_START = zlib.crc32(SCHEMA.encode())    # the checksum before the first event
+_TAIL = len(b', "01234567"]')
 
 
 def journal_path(session_path: str | os.PathLike[str]) -> Path:
@@ -45,18 +58,27 @@ class SessionJournal:
     ----------
     path : Path
     on_failure : callable
-        Receives a sentence, once, when the file cannot be written; nothing else happens then.
+        Receives a sentence when the file cannot be written; nothing else happens then.
+    continues : bool
+        Whether the session was read from the file, so that the file is replaced and not kept.
 
     """
 
-    def __init__(self, path: Path, on_failure: Callable[[str], None]) -> None:
+    def __init__(self, path: Path, on_failure: Callable[[str], None],
+                 continues: bool = False) -> None:
         self.path = path
-        self._on_failure = on_failure
+        self.problem = ''       # why the events are not written; empty while they are
+        self.on_failure = on_failure
+        self._reported = ''
         self._file: int | None = None
+        self._own = _identity(path) if continues else None     # of the file that contains all this
+        self._renewing = continues
+        self._checksum = self._appended = 0
+        self._base = ''     # the session at the start of the file
         self._persistent: dict[str, str] = {}
         self._pending: list[str] = []   # not written yet: nothing worth keeping, or only counts
         self._rejected: dict[str, int] = {}
-        self._failed = False
+        self._outdated = False      # whether a file at `path` could not be set aside
         self._closed = False
         self._lock = threading.Lock()   # it may be closed while a registration still runs
 
@@ -64,84 +86,139 @@ class SessionJournal:
         """Record an event; takes some microseconds for a point."""
         with self._lock:
             if not self._closed:
-                self._record(event, value)
+                try:
+                    self._record(event, value)
+                except (OSError, ValueError, TypeError) as error:
+                    self._fail(error)
 
-    def begin(self, session: dict[str, Any]) -> None:
-        """Replace the file in one step by one that starts with ``session``, a session record."""
+    def renew(self) -> None:
+        """Let the next 'session' event replace the file, instead of setting it aside."""
         with self._lock:
-            self._begin(session)
+            self._renewing = True
+
+    @property
+    def too_long(self) -> bool:
+        """Whether it is time to renew the file."""
+        return self._appended > RENEW_SIZE
 
     def close(self) -> None:
         """Write what is pending, and ignore further events."""
         with self._lock:
-            if self._file is not None:
-                self._write_pending()
+            if self._file is not None and not self._closed:
+                try:
+                    self._write_pending()
+                except (OSError, ValueError, TypeError) as error:
+                    self._fail(error)
             self._close_file()
             self._closed = True
 
+    def retire(self) -> Path | None:
+        """Close the journal and set its file aside; return its new path.  Raises OSError."""
+        self.close()
+        ours = self._own is not None and self._own == _identity(self.path)
+        return set_aside(self.path) if ours else None
+
+    @property
+    def writing(self) -> bool:
+        """Whether there is a file to which events are written."""
+        return self._file is not None
+
     def _record(self, event: str, value: Any) -> None:
-        if event == 'rejected':
+        if event == 'session':
+            self._begin(value)
+        elif event == 'clear':
+            self._end()
+        elif event in PERSISTENT:
+            self._persistent[event] = _body(event, value)
+            if self._file is not None:
+                self._append([self._persistent[event]])
+        elif self.problem:
+            return      # renewing the file writes the whole session
+        elif event == 'rejected':
             for cause, count in value.items():
                 self._rejected[cause] = self._rejected.get(cause, 0) + count
-        elif event in ('clear', 'session'):
-            self._end_file(event == 'session')
-            if event == 'session':
-                self._begin(value)
-        elif event in PERSISTENT:
-            self._persistent[event] = _line(event, value)
-            if self._file is not None:
-                self._write(self._persistent[event])
         else:
-            self._pending.append(_point_line(value) if event == 'point' else _line(event, value))
+            self._pending.append(_point_body(value) if event == 'point' else _body(event, value))
             if self._file is not None or event in WORTH_KEEPING:
                 self._write_pending()
 
     def _begin(self, session: dict[str, Any]) -> None:
-        try:
-            _check_not_in_use(self.path)
-            write_atomically(self.path, _head() + _line('session', session))
-            self._open(os.O_WRONLY | os.O_APPEND)
-        except (InputError, OSError) as error:
-            self._fail(error)
-
-    def _end_file(self, even_of_others: bool) -> None:
-        """Set the present file aside; the next one starts with the next event worth keeping."""
-        ours = self._file is not None
+        """Start a file with a whole session."""
+        if not self._renewing:
+            self._end()
         self._close_file()
-        self._pending, self._rejected, self._failed = [], {}, False
-        if ours or even_of_others:
-            try:
-                _check_not_in_use(self.path)
-                set_aside(self.path)
-            except OSError as error:
-                self._fail(error)
+        self._pending, self._rejected, self.problem = [], {}, ''
+        self._base = _body('session', session)
+        self._persistent = {'model': _body('model', session['model_sha256']),
+                            'collecting': _body('collecting', session['collecting'])}
+        if any(session[key] for key in ('points', 'landmarks', 'verifications', 'pose_result')):
+            self._create()
+        elif self._outdated:
+            self._set_aside()
+
+    def _end(self) -> None:
+        """Set the present file aside; the next one starts with the next event worth keeping."""
+        self._outdated |= self._own is not None and self._own == _identity(self.path)
+        self._close_file()
+        self._base, self._pending, self._rejected, self.problem = '', [], {}, ''
+        self._own, self._renewing = None, False
+        if self._outdated:
+            self._set_aside()
+
+    def _set_aside(self) -> None:
+        check_not_in_use(self.path)
+        set_aside(self.path)
+        self._outdated = False
 
     def _write_pending(self) -> None:
         if self._rejected:
-            self._pending.append(_line('rejected', self._rejected))
+            self._pending.append(_body('rejected', self._rejected))
             self._rejected = {}
-        self._write(''.join(self._pending))
+        if self._file is None:
+            self._create()
+        else:
+            self._append(self._pending)
         self._pending.clear()
 
-    def _write(self, text: str) -> None:
-        if self._failed:
-            return
+    def _create(self) -> None:
+        """Create the file, with what is pending, in one step."""
+        check_not_in_use(self.path)
+        bodies = filter(None, [self._base, *self._persistent.values(), *self._pending])
+        data, checksum = _chained(bodies, _START)
+        handle, temporary = tempfile.mkstemp(prefix=f'.{self.path.name[:64]}.',
+                                             dir=self.path.parent)
         try:
-            if self._file is None:
-                _check_not_in_use(self.path)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with contextlib.suppress(OSError):      # not every file system has permissions
+                os.fchmod(handle, 0o644)    # mkstemp lets only the owner read
+            _write_all(handle, _head().encode() + data)
+            if self._own is None or self._own != _identity(self.path):
                 set_aside(self.path)
-                self._open(os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL)
-                text = _head() + ''.join(self._persistent.values()) + text
-            assert self._file is not None
-            data = text.encode()
-            if os.write(self._file, data) < len(data):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        except OSError as error:
-            self._fail(error)
+            os.replace(temporary, self.path)
+        except BaseException:
+            os.close(handle)
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise
+        self._file, self._own = handle, _identity(self.path)
+        self._renewing = self._outdated = False
+        self._checksum, self._appended, self._base = checksum, 0, ''
+        self._pending, self._reported = [], ''
 
-    def _open(self, flags: int) -> None:
-        self._file = os.open(self.path, flags | os.O_CLOEXEC, 0o644)
-        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    def _append(self, bodies: Iterable[str]) -> None:
+        assert self._file is not None
+        data, checksum = _chained(bodies, self._checksum)
+        if _identity(self.path) != self._own:
+            raise OSError(errno.ENOENT, 'it was deleted or replaced')
+        size = os.fstat(self._file).st_size
+        try:
+            _write_all(self._file, data)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file, size)
+            raise
+        self._checksum = checksum
+        self._appended += len(data)
 
     def _close_file(self) -> None:
         if self._file is not None:
@@ -150,18 +227,18 @@ class SessionJournal:
 
     def _fail(self, error: Exception) -> None:
         self._close_file()
-        if not self._failed:
-            cause = error.strerror if isinstance(error, OSError) else error
-            self._on_failure(f'the journal {self.path} cannot be written: {cause}; collecting '
-                             'continues, but what follows is lost if the node crashes')
-        self._failed = True
+        self._pending, self._rejected = [], {}
+        cause = (error.strerror if isinstance(error, OSError) else None) or error
+        self.problem = (f'the journal {self.path} cannot be written: {cause}; points are now lost '
+                        'if the node crashes: make room or change session.path, and save')
+        if self.problem != self._reported:
+            self._reported = self.problem
+            self.on_failure(self.problem)
 
 
 def read_journal(path: Path, apply: Callable[[str, Any], None]) -> str | None:
     """
-    Pass the events of a journal, in order, to ``apply``.
-
-    An incomplete last line is ignored.  Reading stops at a damaged line.
+    Pass the events of a journal, in order, to ``apply``; stop at a damaged line.
 
     Parameters
     ----------
@@ -182,42 +259,72 @@ def read_journal(path: Path, apply: Callable[[str, Any], None]) -> str | None:
 
     """
     try:
-        _check_not_in_use(path)
-        *lines, _ = path.read_bytes().split(b'\n')     # a line without an end is incomplete
-    except FileNotFoundError:
-        return None
+        check_not_in_use(path)
+        if not os.path.lexists(path):
+            return None
+        with open_file(path, MAX_SIZE) as file:
+            return _read_lines(path, file, apply)
     except OSError as error:
         raise InputError(f'{path} cannot be read: {error.strerror}') from None
-    if not lines or not _is_head(lines[0]):
+
+
+def _read_lines(path: Path, file: BinaryIO, apply: Callable[[str, Any], None]) -> str:
+    headed, checksum, applied = _is_head(file.readline(MAX_HEAD)), _START, 0
+    damage = '' if headed else f'line 1 of {path} is damaged'
+    for number, line in enumerate(file, 2):
+        checksum, valid = _apply_line(line, checksum, apply)
+        if not valid:
+            following = sum(1 for _ in file)
+            damage = f'line {number} of {path} is damaged' + (
+                f'; {format_count(following, "line")} after it ignored' if following else '')
+            break
+        applied += 1
+    if not headed and not applied:
         raise InputError(f'{path} is not a journal of schema {SCHEMA}')
-    for number, line in enumerate(lines[1:], 2):
-        try:
-            event, value = json.loads(line)
-            apply(event, value)
-        except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError):
-            return f'line {number} of {path} is damaged; what follows is ignored'
-    return ''
+    return damage
+
+
+def _apply_line(line: bytes, checksum: int, apply: Callable[[str, Any], None]) -> tuple[int, bool]:
+    """Pass one event to ``apply``; return the checksum after it, and whether it is valid."""
+    body = line[:-_TAIL - 1]
+    checksum = zlib.crc32(body, checksum)
+    if line[len(body):] != f', "{checksum:08x}"]\n'.encode():
+        return checksum, False
+    try:
+        apply(*json.loads(body + b']'))
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError):
+        return checksum, False
+    return checksum, True
 
 
 def set_aside(path: Path) -> Path | None:
     """
     Rename a journal to ``.1``, and an earlier ``.1`` to ``.2``; return its new path.
 
-    None if there is no journal.  Raises OSError.
+    None if there is no journal.  Raises OSError, also if one of them is not a regular file.
     """
     first, second = (path.with_name(f'{path.name}.{number}') for number in (1, 2))
-    if not path.exists():
+    if not os.path.lexists(path):
         return None
+    for each in (path, first, second):
+        _check_regular(each)
     if first.exists():
         os.replace(first, second)
     os.replace(path, first)
     return first
 
 
-def _check_not_in_use(path: Path) -> None:
+def _check_regular(path: Path) -> None:
+    found = irregular(path)
+    if found:
+        raise OSError(errno.EINVAL, f'{path.name} is {found}')
+
+
+def check_not_in_use(path: Path) -> None:
     """Raise OSError if another process, or another journal of this one, writes the file."""
     try:
-        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        _check_regular(path)
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
     except FileNotFoundError:
         return
     try:
@@ -229,23 +336,48 @@ def _check_not_in_use(path: Path) -> None:
         os.close(file)
 
 
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return device and number of the file at ``path``; None if there is none."""
+    try:
+        found = os.lstat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _write_all(file: int, data: bytes) -> None:
+    if os.write(file, data) < len(data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def _is_head(line: bytes) -> bool:
     try:
         head = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return False
-    return isinstance(head, dict) and head.get('schema') == SCHEMA
+    return isinstance(head, dict) and head.get('schema') == SCHEMA and line.endswith(b'\n')
 
 
 def _head() -> str:
     return json.dumps({'schema': SCHEMA, 'begun': now(), 'version': __version__}) + '\n'
 
 
-def _line(event: str, value: Any) -> str:
-    return json.dumps([event, value], allow_nan=False) + '\n'
+def _chained(bodies: Iterable[str], checksum: int) -> tuple[bytes, int]:
+    """Return the lines of these events, and the checksum after them."""
+    lines = []
+    for body in bodies:
+        data = body.encode()
+        checksum = zlib.crc32(data, checksum)
+        lines.append(data + b', "%08x"]\n' % checksum)
+    return b''.join(lines), checksum
 
 
-def _point_line(value: Any) -> str:
-    """Return the same text as `_line`, in a fraction of the time."""
+def _body(event: str, value: Any) -> str:
+    """Return the line of an event up to its checksum."""
+    return json.dumps([event, value], allow_nan=False)[:-1]
+
+
+def _point_body(value: Any) -> str:
+    """Return the same text as `_body`, in a fraction of the time."""
     stroke, source, stamp, x, y, z = value
-    return f'["point", [{stroke}, {source}, {stamp!r}, {x!r}, {y!r}, {z!r}]]\n'
+    return f'["point", [{stroke}, {source}, {stamp!r}, {x!r}, {y!r}, {z!r}]'

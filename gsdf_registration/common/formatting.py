@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 def format_count(number: int, noun: str, plural: str = '') -> str:
     """
@@ -26,3 +28,15 @@ def format_length(metres: float) -> str:
 def format_error(metres: float) -> str:
     """Return an expected error in mm with one decimal, < 0.1 mm instead of 0.0 mm."""
     return f'{1e3 * metres:.1f} mm' if metres >= 5e-5 else '< 0.1 mm'
+
+
+def format_numbers(numbers: Iterable[int]) -> str:
+    """Return ascending numbers, with ranges: 1 to 3, 7."""
+    ranges: list[list[int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
+        else:
+            ranges.append([number, number])
+    return ', '.join(str(first) if first == last else f'{first} to {last}'
+                     for first, last in ranges)

@@ -104,12 +104,20 @@ class Collection:
 
     def undo(self) -> Stroke | None:
         """Drop the stroke started last and return it; None if there is none."""
-        if not self._strokes:
-            return None
-        last = self._strokes[max(self._strokes)]
-        self._drop(self._points.strokes[:self._size] == last.number)
-        self.undone += last.points
-        return last
+        return self.drop_stroke(max(self._strokes, default=0))
+
+    @property
+    def stroke_numbers(self) -> list[int]:
+        """Numbers of the strokes that contain points, ascending."""
+        return sorted(self._strokes)
+
+    def drop_stroke(self, number: int) -> Stroke | None:
+        """Drop a stroke and return it; None if there is no such stroke."""
+        stroke = self._strokes.get(number)
+        if stroke is not None:
+            self._drop(self._points.strokes[:self._size] == number)
+            self.undone += stroke.points
+        return stroke
 
     def withdraw(self, source: int, since: float, place: Position, radius: float) -> int:
         """

@@ -8,16 +8,16 @@ value.  Values are plain, ready for JSON:
 ============  ======================================================================================
 event         value
 ============  ======================================================================================
-model         SHA-256 of the bone, or None; the first event
+model         SHA-256 of the bone, or None; the first event, unless that is a whole session
 clear         everything except the model is dropped; the sources follow.  Why, if the operator did
               not ask for it; else None
-session       a whole session that replaces the state, as `SessionRecord.to_dict`
+session       a whole session that replaces the state, as `SessionRecord.to_dict` with packed points
 collecting    whether points are collected
 frame         name of the frame of the points
 source        topic of a new source; the first has number 0
 point         [stroke, source, stamp, x, y, z] of an added point; s and m
 rejected      {cause: number} of rejected samples
-undo          number of the stroke dropped
+undo          number of the stroke dropped, the last one or any other
 withdrawn     [source, stamp]: the points of this source from this stamp on are dropped
 landmark      as in the session record
 verification  as in the session record
@@ -32,7 +32,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from gsdf_registration.session.record import FIT, SOURCE, STAMP, STROKE, empty_record
+from gsdf_registration.session.record import FIT, SOURCE, STAMP, STROKE, empty_record, unpacked
 
 Listener = Callable[[str, Any], None]
 
@@ -83,7 +83,7 @@ class Replay:
             self.session = empty_record(session['model_sha256']) | {
                 'collecting': session['collecting']}
         elif event == 'session':
-            self.session = {**empty_record(None), **value}
+            self.session = {**empty_record(None), **value, 'points': unpacked(value['points'])}
         else:
             raise ValueError(f'unknown event "{event}"')
 

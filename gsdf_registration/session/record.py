@@ -9,8 +9,7 @@ registration used it, its residual (null: left out as an outlier) and its weight
 
 from __future__ import annotations
 
-import dataclasses
-import math
+import base64
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,16 +21,23 @@ import numpy as np
 from gsdf_registration import __version__
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.json_values import plain
-from gsdf_registration.common.result import InputError, Reason, RegistrationResult, WeakestDirection
-from gsdf_registration.common.rigid import Array, is_rigid
+from gsdf_registration.common.result import InputError, RegistrationResult
+from gsdf_registration.common.rigid import MAX_COORDINATE, Array
 from gsdf_registration.common.samples import Points
 from gsdf_registration.session.landmark_capture import CapturedLandmark
+from gsdf_registration.session.result_record import (
+    array,
+    count,
+    number,
+    result_from_dict,
+    result_to_dict,
+    text,
+)
 from gsdf_registration.session.verification import Verification
 
 COLUMNS = ('stroke', 'source', 'stamp', 'x', 'y', 'z', 'residual', 'weight')
 STROKE, SOURCE, STAMP, FIT = 0, 1, 2, 6
-# fields of a result that a record leaves out; the first two are columns of `points`
-_PER_POINT = ('residuals_m', 'weights', 'history')
+PART = 1000     # rows converted at a time: Python holds its lock meanwhile
 
 
 @dataclass(frozen=True)
@@ -52,8 +58,13 @@ class SessionRecord:
     pose_result: RegistrationResult | None
     pose_frame_id: str
 
-    def to_dict(self, config: Config) -> dict[str, Any]:
-        """Return the record with settings and versions, ready for JSON."""
+    def to_dict(self, config: Config, packed: bool = False) -> dict[str, Any]:
+        """
+        Return the record with settings and versions, ready for JSON.
+
+        ``packed``: with the points as text, see `unpacked`; takes a tenth of the time.
+        """
+        points = _packed if packed else _rows
         return empty_record(self.model_sha256) | {
             'versions': {'gsdf_registration': __version__, 'python': platform.python_version(),
                          'numpy': np.__version__, 'numba': numba.__version__},
@@ -63,7 +74,7 @@ class SessionRecord:
             'rejected': self.rejected, 'landmarks': plain(self.landmarks),
             'verifications': plain(self.verifications), 'result': result_to_dict(self.result),
             'pose_result': result_to_dict(self.pose_result), 'parameters': config.flat(),
-            'points': _rows(self.points, fit_of(self.residuals, self.weights))}
+            'points': points(self.points, self.residuals, self.weights)}
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], model_sha256: str) -> SessionRecord:
@@ -82,19 +93,24 @@ class SessionRecord:
                     'the session belongs to another bone model; load the one it was recorded with')
             frame_id, sources = record['frames']['points'], record['sources']
             points, residuals, weights = _columns(record['points'], len(sources))
+            collecting, accepted = record['collecting'], result_from_dict(record['pose_result'])
+            if not isinstance(collecting, bool):
+                raise TypeError(f'{collecting!r} is not true or false')
+            if accepted is not None and not accepted.success:
+                raise ValueError('the accepted registration was refused')
             return cls(
                 model_sha256=record['model_sha256'],
-                frame_id=None if frame_id is None else str(frame_id),
-                collecting=bool(record['collecting']),
-                source_names=[str(name) for name in sources],
+                frame_id=None if frame_id is None else text(frame_id), collecting=collecting,
+                source_names=[text(name) for name in sources],
                 points=points, residuals=residuals, weights=weights,
-                rejected={str(cause): int(count) for cause, count in record['rejected'].items()},
+                rejected={text(cause): count(times) for cause, times in record['rejected'].items()},
                 landmarks=[CapturedLandmark(
-                    str(item['name']), _array(item['model']), _array(item['tracker']),
-                    float(item['spread_m']), float(item['stamp'])) for item in record['landmarks']],
+                    text(item['name']), array(item['model']), array(item['tracker']),
+                    number(item['spread_m']), number(item['stamp']))
+                    for item in record['landmarks']],
                 verifications=[_verification(item) for item in record['verifications']],
-                result=_result(record['result']), pose_result=_result(record['pose_result']),
-                pose_frame_id=str(record['frames']['pose']))
+                result=result_from_dict(record['result']), pose_result=accepted,
+                pose_frame_id=text(record['frames']['pose']))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise InputError(f'the session is damaged: {type(error).__name__} {error}') from None
 
@@ -113,60 +129,55 @@ def fit_of(residuals: Array, weights: Array) -> list[list[float | None] | None]:
             for residual, weight in zip(residuals.round(7).tolist(), weights.round(4).tolist())]
 
 
-def result_to_dict(result: RegistrationResult | None) -> dict[str, Any] | None:
-    """Return a result in plain values, without the fields per point."""
-    values: dict[str, Any] | None = plain(result, _PER_POINT)
-    return values
+def unpacked(points: str | list[list[Any]]) -> list[list[Any]]:
+    """
+    Return ``points`` of a record as rows.
+
+    Packed points are the rows as little-endian float64 in base64; NaN means unknown.
+    """
+    if not isinstance(points, str):
+        return points
+    return [[int(stroke), int(source), stamp, x, y, z,
+             None if residual != residual else residual, None if weight != weight else weight]
+            for stroke, source, stamp, x, y, z, residual, weight in _table(points).tolist()]
 
 
-def _rows(points: Points, fit: list[list[float | None] | None]) -> list[list[Any]]:
+def _table(packed: str) -> Array:
+    data = np.frombuffer(base64.b64decode(packed, validate=True), '<f8')
+    return data.astype(np.float64).reshape(-1, len(COLUMNS))
+
+
+def _packed(points: Points, residuals: Array, weights: Array) -> str:
+    table = np.column_stack([points.strokes, points.sources, points.stamps, points.positions,
+                             residuals.round(7), weights.round(4)])
+    return base64.b64encode(table.astype('<f8').tobytes()).decode()
+
+
+def _rows(points: Points, residuals: Array, weights: Array) -> list[list[Any]]:
     return [[stroke, source, stamp, *position, *(known or (None, None))]
             for stroke, source, stamp, position, known in zip(
                 points.strokes.tolist(), points.sources.tolist(), points.stamps.tolist(),
-                points.positions.tolist(), fit)]
+                points.positions.tolist(), fit_of(residuals, weights))]
 
 
 def _columns(rows: list[list[Any]], sources: int) -> tuple[Points, Array, Array]:
     """Return points, residuals and weights; None becomes NaN."""
-    table = np.array(rows, np.float64).reshape(-1, len(COLUMNS))
-    numbers = table[:, [STROKE, SOURCE]]
-    if len(table) != len(rows) or not np.isfinite(table[:, :FIT]).all():
+    table = np.concatenate([np.empty((0, len(COLUMNS))), *(
+        np.array(rows[first:first + PART], np.float64) for first in range(0, len(rows), PART))])
+    numbers, residuals, weights = table[:, [STROKE, SOURCE]], table[:, FIT], table[:, FIT + 1]
+    if not (np.abs(table[:, :FIT]) < [2.0**31, 2.0**31, np.inf, *3 * [MAX_COORDINATE]]).all():
         raise ValueError(f'the points are not rows of {", ".join(COLUMNS)}')
-    if (numbers % 1.0 != 0.0).any() or not (
-            (numbers >= [1.0, 0.0]) & (numbers < [2.0**31, sources])).all():
+    if (numbers % 1.0 != 0.0).any() or not ((numbers >= [1.0, 0.0])
+                                            & (numbers < [2.0**31, sources])).all():
         raise ValueError('a point has no valid stroke or source')
+    if np.isinf(residuals).any() or (weights < 0.0).any() or (weights > 1.0).any():
+        raise ValueError('a point has no valid residual or weight')
     return (Points(table[:, 3:FIT].copy(), table[:, STAMP].copy(),
                    table[:, STROKE].astype(np.int32), table[:, SOURCE].astype(np.int32)),
-            table[:, FIT].copy(), table[:, FIT + 1].copy())
+            residuals.copy(), weights.copy())
 
 
 def _verification(item: Mapping[str, Any]) -> Verification:
     moved = item['moved_m']
-    return Verification(_array(item['position']), float(item['distance_m']), float(item['stamp']),
-                        int(item['checkpoint']), None if moved is None else float(moved))
-
-
-def _array(values: Any, shape: tuple[int, ...] = (3,)) -> Array:
-    array = np.array(values, np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f'{values} is not an array of {" x ".join(map(str, shape))} numbers')
-    return array
-
-
-def _result(values: Mapping[str, Any] | None) -> RegistrationResult | None:
-    if values is None:
-        return None
-    known = {item.name for item in dataclasses.fields(RegistrationResult)} - set(_PER_POINT)
-    values = {key: value for key, value in values.items() if key in known}
-    for key, shape in (('T_tracker_bone', (4, 4)), ('covariance', (6, 6))):
-        values[key] = None if values[key] is None else _array(values[key], shape)
-    weakest = values['weakest_direction']
-    if weakest is not None:
-        pitch = weakest['pitch_m_per_rad']
-        values['weakest_direction'] = WeakestDirection(**{
-            **weakest, 'axis': _array(weakest['axis']), 'point': _array(weakest['point']),
-            'pitch_m_per_rad': math.inf if pitch is None else pitch})
-    result = RegistrationResult(**{**values, 'reason': Reason(values['reason'])})
-    if result.success and (result.T_tracker_bone is None or not is_rigid(result.T_tracker_bone)):
-        raise ValueError('the registration has no valid pose')
-    return result
+    return Verification(array(item['position']), number(item['distance_m']), number(item['stamp']),
+                        count(item['checkpoint']), None if moved is None else number(moved))

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.formatting import format_count
+from gsdf_registration.common.formatting import format_count, format_numbers
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points, Rejection, Sample
@@ -59,7 +59,7 @@ class Session:
         Report every change to ``listener``, see `session.events`; several may listen.
 
         It is called in the thread that makes the change, while the session is locked: it must not
-        call the session, raise, or block.  ``from_start``: also report the present state.
+        call the session, raise, or block.  ``from_start``: first report the whole session.
         """
         with self._lock:
             self._state.listen(listener, from_start)
@@ -121,15 +121,31 @@ class Session:
             dropped = self._state.undo()
             if dropped is None:
                 return Answer(False, 'there is no stroke to undo')
-            self._notices.on_undo()
-            self._generation += 1       # a running registration uses the points dropped
-            more = '; the running registration is cancelled' if self._solving else ''
-            if dropped.split_by:
-                more = (f', which a {dropped.split_by} had split from the one before: undo again '
-                        f'to drop that too{more}')
-            return Answer(
-                True, f'dropped the last stroke, {format_count(dropped.points, "point")}{more}; '
-                f'{count_points(self._state)} left')
+            split = '' if not dropped.split_by else (
+                f', which a {dropped.split_by} had split from the one before: undo again to drop '
+                'that too')
+            return self._dropped(f'the last stroke, {format_count(dropped.points, "point")}{split}')
+
+    def drop_stroke(self, number: int) -> Answer:
+        """
+        Drop a stroke by its number, as the status shows it, wherever it is in the session.
+
+        The accepted registration stays until the next one.
+        """
+        with self._lock:
+            dropped = self._state.drop_stroke(number)
+            if dropped is None:
+                present = format_numbers(self._state.collection.stroke_numbers)
+                return Answer(False, f'there is no stroke {number}; ' + (
+                    f'the strokes are {present}' if present else 'there are no strokes'))
+            return self._dropped(f'stroke {number}, {format_count(dropped.points, "point")}')
+
+    def _dropped(self, what: str) -> Answer:
+        """Return the answer after a stroke was dropped; the session is locked."""
+        self._notices.on_undo()
+        self._generation += 1       # a running registration uses the points dropped
+        cancelled = '; the running registration is cancelled' if self._solving else ''
+        return Answer(True, f'dropped {what}{cancelled}; {count_points(self._state)} left')
 
     def clear(self) -> Answer:
         """Drop all points, landmarks and verification points, and withdraw the pose."""
@@ -363,15 +379,24 @@ class Session:
             If it belongs to another bone, or is damaged; nothing is changed then.
 
         """
-        state = self._state
         with self._lock:
-            if state.field is None:
-                raise InputError('load the bone model before the session; set model.path')
-            if self._solving:
-                raise InputError('a registration is running; wait for its answer, then load')
-            state.restore(SessionRecord.from_dict(record, state.field.bone_sha256))
+            bone = self._bone_to_restore()
+        # outside the lock: it takes a while with many points
+        saved = SessionRecord.from_dict(record, bone)
+        with self._lock:
+            if self._bone_to_restore() != bone:
+                raise InputError('another bone model was loaded meanwhile; load again')
+            self._state.restore(saved)
             self._notices.on_registration()
             self._generation += 1
+
+    def _bone_to_restore(self) -> str:
+        """Return the hash of the bone; `InputError` if a session cannot be restored now."""
+        if self._state.field is None:
+            raise InputError('load the bone model before the session; set model.path')
+        if self._solving:
+            raise InputError('a registration is running; wait for its answer, then load')
+        return self._state.field.bone_sha256
 
 
 def restart_notice(reason: str) -> str:

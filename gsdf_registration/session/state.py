@@ -23,7 +23,8 @@ from gsdf_registration.session.collection import Collection, Stroke
 from gsdf_registration.session.events import Listener
 from gsdf_registration.session.landmark_capture import Answer, LandmarkCapture
 from gsdf_registration.session.pose_changes import InitialPose, WithdrawnPose
-from gsdf_registration.session.record import SessionRecord, fit_of, result_to_dict
+from gsdf_registration.session.record import SessionRecord, fit_of
+from gsdf_registration.session.result_record import result_to_dict
 from gsdf_registration.session.stationary_tip import StationaryTip, StationaryTipDetector
 from gsdf_registration.session.verification import (
     Verification,
@@ -57,6 +58,7 @@ class SessionState:
         self._reported_frame: str | None = None
         self._listeners: list[Listener] = []
         self._reports: tuple[tuple[Any, ...], tuple[StrokeReport, ...]] = ((), ())
+        self._outdated: tuple[tuple[Any, ...], bool] = ((), False)
 
     def _begin(self) -> None:
         """Give the session a new name; its registrations are numbered from 1."""
@@ -64,16 +66,16 @@ class SessionState:
         self.initial_pose = None
 
     def listen(self, listener: Listener, from_start: bool = False) -> None:
-        """Report every change to ``listener``; ``from_start``: also the present state."""
+        """Report every change to ``listener``; ``from_start``: first the whole session."""
         self._listeners.append(listener)
+        if from_start:
+            listener('session', self.record().to_dict(self.config, packed=True))
+            return
         listener('model', self._model_sha256)
         listener('collecting', self.collection.collecting)
         for topic in self._source_of:
             listener('source', topic)
         self._reported_frame = None
-        if from_start and (len(self.collection) or self.landmarks.captured
-                           or self.accepted is not None):
-            listener('session', self.record().to_dict(self.config))
 
     def stop_listening(self, listener: Listener) -> None:
         """Report no further changes to ``listener``."""
@@ -120,12 +122,18 @@ class SessionState:
         self._report('collecting', on)
 
     def undo(self) -> Stroke | None:
-        """Drop the stroke started last and return it."""
-        dropped = self.collection.undo()
-        if dropped is not None:
+        """Drop the stroke started last and return it; None if there is none."""
+        return self._dropped(self.collection.undo())
+
+    def drop_stroke(self, number: int) -> Stroke | None:
+        """Drop a stroke and return it; None if there is no such stroke."""
+        return self._dropped(self.collection.drop_stroke(number))
+
+    def _dropped(self, stroke: Stroke | None) -> Stroke | None:
+        if stroke is not None:
             self.revision += 1
-            self._report('undo', dropped.number)
-        return dropped
+            self._report('undo', stroke.number)
+        return stroke
 
     def clear(self, reason: str | None = None) -> None:
         """
@@ -293,7 +301,12 @@ class SessionState:
     @property
     def outdated(self) -> bool:
         """Whether points of the accepted registration have been dropped since."""
-        return self.accepted is not None and self.accepted.outdated(self.collection.serials())
+        if self.accepted is None:
+            return False
+        key = (self.accepted, self.revision)    # points are dropped only with a new revision
+        if self._outdated[0] != key:
+            self._outdated = key, self.accepted.outdated(self.collection.serials())
+        return self._outdated[1]
 
     def reports(self) -> tuple[StrokeReport, ...]:
         """Return a report of each stroke at the accepted registration."""
@@ -341,7 +354,7 @@ class SessionState:
         self.refusal = last if last is not None and not last.success else None
         self._accepted_last = last is not None and last.success
         self.revision += 1
-        self._report('session', self.record().to_dict(self.config))
+        self._report('session', self.record().to_dict(self.config, packed=True))
 
     def _report_frame(self) -> None:
         if self._reported_frame != self.collection.frame_id:
