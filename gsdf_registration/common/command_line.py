@@ -104,7 +104,7 @@ class Parser(argparse.ArgumentParser):
             if option.startswith('--') and not any(name.startswith(option)
                                                    for name in self._option_names):
                 near = suggestion(option, self._option_names)
-                self.error(f'there is no option {option}' + (near and f'; {near}'))
+                self.error(f'unknown option {option}' + (near and f'; {near}'))
 
 
 def suggestion(word: str, known: Sequence[str]) -> str:

@@ -29,7 +29,7 @@ def test_runs_as_a_module_in_a_checkout() -> None:
 
 @pytest.mark.parametrize(('words', 'message'), [
     (['feild'], 'benchmarks: error: "feild" is not a command; did you mean field?'),
-    (['trust', '--trails', '3'], 'there is no option --trails; did you mean --trials?'),
+    (['trust', '--trails', '3'], 'unknown option --trails; did you mean --trials?'),
 ])
 def test_suggests_the_nearest_word(capsys: pytest.CaptureFixture[str], words: list[str],
                                    message: str) -> None:
