@@ -28,10 +28,15 @@ class Shape(IntEnum):
     TRIANGLE_LIST = 11
 
 
+ADD, DELETE, DELETE_ALL = 0, 2, 3       # the actions of visualization_msgs/Marker
+
+
 @dataclass(frozen=True, eq=False)
 class Marker:
     """
     A visualization_msgs/Marker; without a shape it deletes the marker with this namespace and id.
+
+    ``action`` is `DELETE_ALL` to delete all markers of the topic.
 
     ns, id : namespace and number
     scale : m, x y z
@@ -49,6 +54,7 @@ class Marker:
     points: Array | None = None
     colours: Array | None = None
     text: str = ''
+    action: int | None = None
 
 
 def to_bytes(markers: Sequence[Marker], frame_id: str) -> bytes:
@@ -66,7 +72,7 @@ def to_bytes(markers: Sequence[Marker], frame_id: str) -> bytes:
 
 def _write(cdr: _Cdr, marker: Marker, frame_id: str) -> None:
     """Write the fields of visualization_msgs/Marker of Jazzy in order."""
-    add = marker.shape is not None
+    action = ADD if marker.shape is not None else DELETE
     pose = np.eye(4) if marker.pose is None else marker.pose
     colours = np.ones(4) if marker.colours is None else marker.colours
     one = np.append(colours, 1.0)[:4] if colours.ndim == 1 else np.ones(4)
@@ -74,7 +80,8 @@ def _write(cdr: _Cdr, marker: Marker, frame_id: str) -> None:
     cdr.pack('iI', 0, 0)                        # stamp of the header
     cdr.text(frame_id)
     cdr.text(marker.ns)
-    cdr.pack('iii', marker.id, marker.shape or 0, 0 if add else 2)     # ADD or DELETE
+    cdr.pack('iii', marker.id, marker.shape or 0,
+             action if marker.action is None else marker.action)
     cdr.pack('3d4d', *pose[:3, 3], *quaternion_from_rotation(pose[:3, :3]))
     cdr.pack('3d', *marker.scale)
     cdr.pack('4f', *one)

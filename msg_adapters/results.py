@@ -36,6 +36,7 @@ class ResultHeader(NamedTuple):
     bone_frame_id: str
     session_id: str
     registration_id: int    # from 1; 0: none yet
+    pose_stamp: float = 0.0     # s, of the newest point that the pose was found from
 
 
 class Stroke(Protocol):
@@ -82,7 +83,7 @@ class Landmark(Protocol):
 def available() -> bool:
     """Return whether gsdf_registration_msgs is installed and built for this Python."""
     try:
-        message = _types().RegistrationResult
+        message = message_types().RegistrationResult
     except (ImportError, AttributeError):   # a folder of this name without the built messages
         return False
     type(message).__import_type_support__()
@@ -112,6 +113,7 @@ def result_msg(result: RegistrationResult, header: ResultHeader, *, grade: str =
     message.message, message.grade = result.message, grade if result.success else ''
     if result.T_tracker_bone is not None:
         message.pose = _pose(result.T_tracker_bone, result.covariance)
+        message.pose_stamp = ros.seconds_to_stamp(header.pose_stamp)
     tre = result.predicted_tre_m
     message.target_names = [name for name in tre if name not in OVER_THE_BONE]
     message.target_tre = [_number(tre[name]) for name in message.target_names]
@@ -138,7 +140,7 @@ def withdrawal_msg(reason: Withdrawal, sentence: str, header: ResultHeader) -> A
 
 def stroke_msg(stroke: Stroke) -> Any:
     """Return the StrokeReport message of a stroke."""
-    return _types().StrokeReport(number=stroke.number, points=stroke.points,
+    return message_types().StrokeReport(number=stroke.number, points=stroke.points,
                                  on_bone=round(stroke.share_on_bone * stroke.points),
                                  rms=_number(stroke.rms_m), interference=stroke.interference)
 
@@ -148,42 +150,48 @@ def landmark_msg(landmark: Landmark, T_tracker_bone: Array | None) -> Any:
     miss = NAN
     if T_tracker_bone is not None:
         miss = float(np.linalg.norm(transform(T_tracker_bone, landmark.model) - landmark.tracker))
-    return _types().LandmarkReport(name=landmark.name, model=_point(landmark.model),
+    return message_types().LandmarkReport(name=landmark.name, model=_point(landmark.model),
                                    touched=_point(landmark.tracker), miss=miss)
 
 
 def weakest_direction_msg(direction: WeakestDirection) -> Any:
     """Return the WeakestDirection message of a direction."""
-    return _types().WeakestDirection(axis=_vector(direction.axis), point=_point(direction.point),
-                                     pitch=float(direction.pitch_m_per_rad),
-                                     rotation_sigma=float(direction.rotation_sigma_rad),
-                                     translation_sigma=float(direction.translation_sigma_m),
-                                     sentence=direction.sentence)
+    return message_types().WeakestDirection(
+        axis=_vector(direction.axis), point=_point(direction.point),
+        pitch=float(direction.pitch_m_per_rad), sentence=direction.sentence,
+        rotation_sigma=float(direction.rotation_sigma_rad),
+        translation_sigma=float(direction.translation_sigma_m))
 
 
 def guidance_msg(touches: Sequence[NextTouch], sentence: str, bone_frame_id: str,
                  stamp: Time) -> Any:
     """Return the Guidance message of places to touch next, best first."""
-    return _types().Guidance(header=Header(stamp=stamp, frame_id=bone_frame_id), sentence=sentence,
-                             points=[_point(touch.position) for touch in touches],
-                             normals=[_vector(touch.normal) for touch in touches],
-                             predicted_tre=[_number(touch.predicted_tre) for touch in touches],
-                             current_tre=_number(touches[0].current_tre if touches else None))
+    return message_types().Guidance(
+        header=Header(stamp=stamp, frame_id=bone_frame_id), sentence=sentence,
+        points=[_point(touch.position) for touch in touches],
+        normals=[_vector(touch.normal) for touch in touches],
+        predicted_tre=[_number(touch.predicted_tre) for touch in touches],
+        current_tre=_number(touches[0].current_tre if touches else None))
 
 
-def _types() -> Any:
+def message_types() -> Any:
     """Return the module of the message classes; imported on use because it may be missing."""
     return import_module('gsdf_registration_msgs.msg')
 
 
+def service_types() -> Any:
+    """Return the module of the service classes."""
+    return import_module('gsdf_registration_msgs.srv')
+
+
 def _reason(name: str) -> int:
-    return int(getattr(_types().RegistrationResult, name))
+    return int(getattr(message_types().RegistrationResult, name))
 
 
 def _empty_result(header: ResultHeader) -> Any:
     """Return a RegistrationResult that is not valid, with every number unknown."""
-    weakest = _types().WeakestDirection(pitch=NAN, rotation_sigma=NAN, translation_sigma=NAN)
-    return _types().RegistrationResult(
+    weakest = message_types().WeakestDirection(pitch=NAN, rotation_sigma=NAN, translation_sigma=NAN)
+    return message_types().RegistrationResult(
         header=Header(stamp=header.stamp, frame_id=header.frame_id),
         bone_frame_id=header.bone_frame_id, session_id=header.session_id,
         registration_id=header.registration_id,

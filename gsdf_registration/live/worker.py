@@ -17,7 +17,7 @@ from typing import Protocol
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Cancelled, Refusal, RegistrationResult
-from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.rigid import Array, inverse
 from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
 from gsdf_registration.live.assessment import FullAssessment
@@ -72,6 +72,9 @@ class PointSource(Protocol):
 
     def landmarks(self) -> tuple[Array, Array] | None:
         """Return captured landmarks: (k, 3) in the bone frame, (k, 3) in the tracker frame, m."""
+
+    def initial_pose(self) -> Array | None:
+        """Return T_tracker_bone (4, 4) to search around first; None: there is none."""
 
     def status(self) -> SourceStatus:
         """Return the present status."""
@@ -243,6 +246,9 @@ class LiveWorker:
     def _guess(self) -> Array | None:
         """Return T_bone_tracker (4, 4) where a registration would start; None: anywhere."""
         status, landmarks = self._source.status(), self._source.landmarks()
+        initial = self._source.initial_pose()
+        if initial is not None:
+            return inverse(initial)
         if landmarks is not None:
             try:
                 return initial_guess(landmarks, None)

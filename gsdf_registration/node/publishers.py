@@ -16,8 +16,9 @@ except ImportError:     # there is no wheel of it; a ROS installation has it
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.live import LivePose, LiveStatus
+from gsdf_registration.node.frame_watch import FrameWatch
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
-from gsdf_registration.node.status import status_message
+from gsdf_registration.node.status import status_message, with_stamp
 from gsdf_registration.session.status import Status
 from msg_adapters import ros
 
@@ -35,15 +36,16 @@ class StatusPublisher:
                                                   event_callbacks=UNWATCHED)
 
     def publish_status(self, status: Status, live: LiveStatus) -> DiagnosticStatus:
-        """Publish ``~/status`` if it has changed; return the message."""
+        """Publish ``~/status`` if anything but its stamp has changed; return the message."""
         message = status_message(status, live, self._node.get_fully_qualified_name())
         if status.state == 'ready' and self._state != 'ready':
             self._node.get_logger().info(status.message)
         self._state = status.state
-        if message != self._last:
-            self._last = message
-            self._status.publish(message)
-        return message
+        changed, self._last = message != self._last, message
+        stamped = with_stamp(message, self._node.get_clock().now().to_msg())
+        if changed:
+            self._status.publish(stamped)
+        return stamped
 
     def publish_diagnostics(self, status: Status, live: LiveStatus) -> None:
         """Publish both topics; to be called once a second."""
@@ -70,6 +72,7 @@ class PosePublishers:
         self._live_pose = create(PoseWithCovarianceStamped, '~/live_pose', 10)
         self._tf = create(TFMessage, '/tf', 100, event_callbacks=UNWATCHED) if TFMessage else None
         self._transform: TransformStamped | None = None
+        self._watch = FrameWatch(node, self._frame_id)
         self._timer: Timer | None = None
         if TFMessage is None:
             node.get_logger().warning('tf2_msgs cannot be imported; /tf is not published')
@@ -79,29 +82,42 @@ class PosePublishers:
         self._rate = rate
         self._restart_timer()
 
-    def publish(self, result: RegistrationResult, frame_id: str) -> None:
-        """Publish a registered pose in ``frame_id``; late joiners receive it too."""
+    def publish(self, result: RegistrationResult, frame_id: str, newest: float) -> None:
+        """
+        Publish a registered pose in ``frame_id``; late joiners receive it too.
+
+        As of the live pose, its stamp is that of the ``newest`` point used, s.  That of the
+        transform is the time at which it is sent, which tf2 needs.
+        """
         T, covariance = result.T_tracker_bone, result.covariance
         assert T is not None and covariance is not None     # an accepted result has both
-        stamp = self._node.get_clock().now().to_msg()
+        stamp = ros.seconds_to_stamp(newest)
         self._pose.publish(ros.pose_msg(T, frame_id, stamp))
         self._pose_with_covariance.publish(
             ros.pose_with_covariance_msg(T, covariance, frame_id, stamp))
         self._transform = ros.transform_msg(T, frame_id, self._frame_id, stamp)
+        self._watch.start()
         self._publish_transform()
         self._restart_timer()
+
+    @property
+    def problem(self) -> str:
+        """Why the bone jumps on /tf; empty if it does not."""
+        return self._watch.problem
 
     def withdraw(self) -> None:
         """Stop repeating the transform, and give late joiners no pose any more."""
         if self._transform is None:
             return
         self._transform = None
+        self._watch.stop()
         self._restart_timer()
         for publisher in (self._pose, self._pose_with_covariance):
             self._node.destroy_lifecycle_publisher(publisher)
         self._pose, self._pose_with_covariance = self._create_latched()
         for publisher in (self._pose, self._pose_with_covariance):
-            publisher.on_activate(None)     # a transform exists only while the node is active
+            # the node is active: else there was no transform to withdraw
+            publisher.on_activate(None)
 
     def publish_live(self, pose: LivePose, frame_id: str) -> None:
         """Publish the live pose with the stamp of its newest point."""
@@ -111,6 +127,7 @@ class PosePublishers:
 
     def destroy(self) -> None:
         """Destroy the publishers and the timer."""
+        self._watch.stop()
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
         for publisher in (self._pose, self._pose_with_covariance, self._live_pose, self._tf):
@@ -135,4 +152,5 @@ class PosePublishers:
     def _publish_transform(self) -> None:
         if self._transform is not None and self._tf is not None:
             self._transform.header.stamp = self._node.get_clock().now().to_msg()
+            self._watch.sent(self._transform)
             self._tf.publish(TFMessage(transforms=[self._transform]))

@@ -22,7 +22,7 @@ from gsdf_registration.registration.guidance import PATCH
 from gsdf_registration.visualization import colours
 from gsdf_registration.visualization.decimation import Faces, drawn_surface
 from msg_adapters import markers, ros
-from msg_adapters.marker_cdr import Marker, to_bytes
+from msg_adapters.marker_cdr import DELETE_ALL, Marker, to_bytes
 
 MAX_FACES = 12_000      # of the bone: at 120 bytes each, a message stays below 2 MB
 
@@ -52,6 +52,12 @@ class ScenePublisher:
                       + self._patches(next_touches))
         if self._has_cloud:
             self._publish_cloud(empty, *np.zeros((3, 0)))
+
+    def clear(self) -> None:
+        """Show nothing, not even the bone."""
+        self._publish([Marker('', 0, action=DELETE_ALL)])
+        if self._has_cloud:
+            self._publish_cloud(np.zeros((0, 3)), *np.zeros((3, 0)))
 
     def show_pose(self, field: Field, limits: LimitsConfig, T_tracker_bone: Array,
                   covariance: Array, positions: Array, residuals: Array, weights: Array,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The private services: each calls the session and answers with success and one sentence."""
+"""The std_srvs services: each calls the session and answers with success and one sentence."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_srvs.srv import SetBool, Trigger
 
 from gsdf_registration.common.formatting import format_length
-from gsdf_registration.common.result import InputError
-from gsdf_registration.common.rigid import rms_displacement
+from gsdf_registration.common.result import InputError, RegistrationResult
+from gsdf_registration.common.rigid import Array, rms_displacement
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.node.background import BackgroundThread
+from gsdf_registration.node.journal import SessionFiles
 from gsdf_registration.node.status import pose_kept
+from gsdf_registration.node.typed_services import typed_services
 from gsdf_registration.session import Session
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.status import Status
-from msg_adapters.session_file import read_session, write_session
+from msg_adapters import results
 
 Handler = Callable[[Any], Awaitable[Answer]]
 
@@ -31,6 +34,7 @@ class ServiceNode(Protocol):
     """The node, as far as the services use it."""
 
     session: Session
+    files: SessionFiles
     cancelled: threading.Event      # set to cancel a running registration
 
     @property
@@ -60,11 +64,8 @@ class ServiceNode(Protocol):
     def registration_finished(self, success: bool) -> None:
         """Report the end of a registration to the live registration."""
 
-    def publish_registration(self) -> None:
-        """Publish the accepted registration."""
-
     def publish_status(self) -> None:
-        """Publish ``~/status`` if it has changed."""
+        """Publish ``~/status``, and the registration or its withdrawal, if they have changed."""
 
 
 class Services:
@@ -82,13 +83,23 @@ class Services:
         for handler in (self.collect, self.undo, self.clear, self.capture_landmark, self.register,
                         self.verify, self.save, self.load):
             kind = SetBool if handler == self.collect else Trigger
-            node.create_service(kind,
-                                f'~/{handler.__name__}',
-                                self._callback(handler),
-                                callback_group=group)
+            node.create_service(kind, f'~/{handler.__name__}',
+                                self.callback(handler.__name__, handler), callback_group=group)
+        if results.available():
+            for service in typed_services(node, self):
+                node.create_service(service.kind, f'~/{service.name}',
+                                    self.callback(service.name, service.handler, service.fill),
+                                    callback_group=group)
 
-    def _callback(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
-        log = self._node.get_logger().get_child(handler.__name__)
+    def callback(self, name: str, handler: Handler,
+                 fill: Callable[[Any, Answer], None] = lambda response, answer: None
+                 ) -> Callable[[Any, Any], Awaitable[Any]]:
+        """
+        Return a service callback that answers with what ``handler`` returns.
+
+        ``fill`` writes further fields of the response, also after a refusal.
+        """
+        log = self._node.get_logger().get_child(name.replace('/', '.'))
 
         async def serve(request: Any, response: Any) -> Any:
             node = self._node
@@ -108,6 +119,7 @@ class Services:
                 log.warning(answer.message, throttle_duration_sec=1.0)
             node.publish_status()
             response.success, response.message = answer.success, answer.message
+            fill(response, answer)
             return response
         return serve
 
@@ -117,20 +129,27 @@ class Services:
 
     async def undo(self, _: Trigger.Request) -> Answer:
         """Drop the last stroke; register again if the accepted registration used it."""
+        return await self.drop(lambda session: session.undo())
+
+    async def drop(self, drop: Callable[[Session], Answer]) -> Answer:
+        """Drop a stroke; if the pose used it, register again without it or withdraw the pose."""
         session = self._node.session
-        before, dropped = session.status(), session.undo()
-        # a registration that was outdated before, as after ~/clear, did not use this stroke
+        before, dropped = session.status(), drop(session)
+        # a registration that was outdated before did not use this stroke
         if not dropped.success or before.outdated or not session.status().outdated:
             return dropped
-        used = f'{dropped.message}; the accepted registration used it'
+        used = f'{dropped.message}; the pose used it'
         if self._background.busy:
-            return Answer(True, f'{used}: register again when the current request is finished')
-        found = await self.register(Trigger.Request())
-        if not found.success:
-            return Answer(True, f'{used}, and a registration without it is refused: '
-                          f'{found.message}')
-        return Answer(True, f'{dropped.message}; registered again without it: '
-                      f'{self._moved_since(before)}; {found.message}')
+            why = 'register again when the current request is finished'
+        else:
+            found = await self._register(None)
+            if found.success:
+                return Answer(True, f'{dropped.message}; registered again without it: '
+                              f'{self._moved_since(before)}; {found.message}')
+            why = f'a registration without it is refused: {found.reason}: {found.message}'
+        session.withdraw_pose(Withdrawal.POINTS_DROPPED,
+                              f'a stroke that the pose used was dropped; {why}')
+        return Answer(True, f'{used} and is withdrawn; {why}')
 
     def _moved_since(self, before: Status) -> str:
         """Return how far the registered bone is from its position ``before``."""
@@ -143,7 +162,7 @@ class Services:
         return f'the bone moved by {format_length(distance)} (RMS)'
 
     async def clear(self, _: Trigger.Request) -> Answer:
-        """Drop all points, landmarks and verification points."""
+        """Drop all points, landmarks and verification points, and withdraw the pose."""
         return self._node.clear()
 
     async def capture_landmark(self, _: Trigger.Request) -> Answer:
@@ -151,35 +170,45 @@ class Services:
         return self._node.session.capture_landmark(self._node.now())
 
     async def verify(self, _: Trigger.Request) -> Answer:
-        """Measure the distance of the stationary tip to the registered surface."""
+        """
+        Measure the distance of the stationary tip to the registered surface.
+
+        If a checkpoint has moved by more than ``limits.verification``, the pose is withdrawn.
+        """
         return self._node.session.verify(self._node.now())
 
     async def register(self, _: Trigger.Request) -> Answer:
         """Register the collected points, and publish the pose."""
-        session, cancelled = self._node.session, self._node.cancelled
-        result = await self._in_background(lambda: session.register(cancelled=cancelled.is_set))
-        self._node.registration_finished(result.success)
+        return await self.register_from(None)
+
+    async def register_from(self, T_tracker_bone: Array | None) -> Answer:
+        """Register from this initial pose (4, 4); the detail of the answer is the result."""
+        session = self._node.session
+        result = await self._register(T_tracker_bone)
         if not result.success:
-            return Answer(False, f'{result.reason}: {result.message}{pose_kept(session.status())}')
+            return Answer(False, f'{result.reason}: {result.message}{pose_kept(session.status())}',
+                          result)
         if session is not self._node.session or self._node.refusal():
             return Answer(False, 'the node was stopped during the registration; nothing is '
                           'published')
-        self._node.publish_registration()
-        return Answer(True, result.message)
+        return Answer(True, result.message, result)
+
+    async def _register(self, T_tracker_bone: Array | None) -> RegistrationResult:
+        session, cancelled = self._node.session, self._node.cancelled
+        result: RegistrationResult = await self._in_background(lambda: session.register(
+            T_tracker_bone=T_tracker_bone, cancelled=cancelled.is_set))
+        self._node.registration_finished(result.success)
+        return result
 
     async def save(self, _: Trigger.Request) -> Answer:
-        """Write the session to ``session.path``."""
-        session = self._node.session
-        path = session.config.session.path
-        await self._in_background(lambda: write_session(path, session.to_dict()))
-        return Answer(True, f'session saved to {path}')
+        """Write the session to ``session.path``; another session that is there is kept."""
+        session, files = self._node.session, self._node.files
+        return Answer(True, await self._in_background(lambda: files.save(session)))
 
     async def load(self, _: Trigger.Request) -> Answer:
         """Restore the session in ``session.path``, and publish its registration."""
-        session = self._node.session
-        path = session.config.session.path
-        await self._in_background(lambda: session.restore(read_session(path)))
-        self._node.publish_registration()
+        session, files = self._node.session, self._node.files
+        path = await self._in_background(lambda: files.load(session))
         return Answer(True, f'session loaded from {path}: {session.status().message}')
 
     async def _in_background(self, job: Callable[[], Any]) -> Any:

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.live import LiveStatus
@@ -29,7 +30,8 @@ def combined_status(status: Status, live: LiveStatus) -> Status:
     """Return the status of the session with that of the live registration: missing, or ready."""
     registered = status.pose_result is not None and not status.outdated
     if live.ready and not registered and status.state in ('collecting', 'idle', 'refused'):
-        return replace(status, state='ready', message=sentence(live.message, status.notice))
+        return replace(status, state='ready', message=sentence(
+            status.message if status.full else '', live.message, status.notice))
     if status.state not in ('collecting', 'idle'):
         return status
     # A good registration need not be repeated, and landmarks come before strokes
@@ -53,6 +55,7 @@ def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticSta
             f'rejected.{cause}': count
             for cause, count in status.rejected.items()
         }, 'pose': 'none' if status.pose_result is None else f'in {status.pose_frame_id}',
+        'withdrawn': '' if status.withdrawn is None else status.withdrawn.reason,
         **(_accuracy(status.pose_result) if status.pose_result is not None else {}),
         **_live_values(live),
         **{f'stroke.{each.number}': each.sentence
@@ -63,7 +66,18 @@ def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticSta
     if status.verification is not None:
         values['verification'] = status.verification.sentence
     message = status.message + (pose_kept(status) if status.state == 'refused' else '')
-    return diagnostic_status(name, LEVELS.get(status.state, DiagnosticStatus.OK), message, values)
+    level = LEVELS.get(status.state, DiagnosticStatus.OK)
+    full = status.full and status.state in ('collecting', 'idle', 'ready')
+    if level == DiagnosticStatus.OK and (full or status.warning):
+        level = DiagnosticStatus.WARN
+    return diagnostic_status(name, level, message, values)
+
+
+def with_stamp(status: DiagnosticStatus, stamp: Time) -> DiagnosticStatus:
+    """Return a copy with the value ``stamp``, seconds and nanoseconds: it has no header."""
+    value = KeyValue(key='stamp', value=f'{stamp.sec}.{stamp.nanosec:09d}')
+    return DiagnosticStatus(level=status.level, name=status.name, message=status.message,
+                            hardware_id=status.hardware_id, values=[value, *status.values])
 
 
 def _accuracy(result: RegistrationResult) -> dict[str, str]:
