@@ -85,6 +85,14 @@ def test_installed_packages_can_be_imported(workspace: Workspace) -> None:
     assert printed.count(f'{place}/') == 2
 
 
+def test_example_package_is_found_only_in_its_folder(workspace: Workspace) -> None:
+    found = workspace.run(*COLCON, 'list', '--names-only', '--base-paths', str(workspace.source))
+    assert found.split() == ['gsdf_registration']
+    found = workspace.run(*COLCON, 'list', '--names-only', '--base-paths',
+                          str(workspace.source / 'examples/cpp'))
+    assert found.split() == ['gsdf_registration_example']
+
+
 def test_colcon_test_runs_pytest_with_the_plugin_of_launch_testing(workspace: Workspace) -> None:
     workspace.colcon('test', '--pytest-args', '-p', 'launch_testing_hook',
                      'test/common/test_rigid.py', 'test/visualization/test_colours.py')

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Use the pose of a bone while it is valid and accurate enough: replace start and stop by a motion.
+#include <chrono>
+#include <memory>
+#include <string>
+#include "gsdf_registration_msgs/msg/registration_result.hpp"
+#include "rclcpp/rclcpp.hpp"
+using gsdf_registration_msgs::msg::RegistrationResult;
+
+class Robot : public rclcpp::Node
+{
+public:
+  Robot()
+  : Node("robot"), max_tre_(declare_parameter("max_tre", 0.001)),     // m
+    grades_(declare_parameter("grades", std::string("AB")))
+  {
+    subscription_ = create_subscription<RegistrationResult>(
+      "registration/result", rclcpp::QoS(1).reliable().transient_local(),
+      [this](const RegistrationResult & result) {
+        const std::string reason = problem(result);
+        stop(reason.empty() ? "the bone was registered again" : reason);
+        if (reason.empty()) {start(result);}
+      });
+    timer_ = create_wall_timer(std::chrono::milliseconds(100), [this]() {   // of a crashed node
+      if (subscription_->get_publisher_count() == 0) {stop("the registration node is gone");}
+    });
+  }
+private:
+  std::string problem(const RegistrationResult & result) const
+  {
+    if (!result.valid) {return result.message;}
+    if (!result.grade.empty() && grades_.find(result.grade) == std::string::npos) {
+      return "grade " + result.grade + ", and one of " + grades_ + " is required";
+    }
+    bool good = !result.target_tre.empty() || result.tre_max <= max_tre_;
+    for (const double error : result.target_tre) {good = good && error <= max_tre_;}  // not if NaN
+    return good ? "" : "the predicted error at a target exceeds max_tre";
+  }
+  void start(const RegistrationResult & result)
+  {
+    moving_ = true;
+    RCLCPP_INFO(get_logger(), "start: registration %u", result.registration_id);
+  }
+  void stop(const std::string & reason)
+  {
+    if (moving_) {RCLCPP_INFO(get_logger(), "stop: %s", reason.c_str());}
+    moving_ = false;
+  }
+  double max_tre_;
+  std::string grades_;
+  bool moving_ = false;
+  rclcpp::Subscription<RegistrationResult>::SharedPtr subscription_;
+  rclcpp::TimerBase::SharedPtr timer_;
+};
+int main(int argc, char ** argv)
+{
+  rclcpp::init(argc, argv);
+  rclcpp::spin(std::make_shared<Robot>());
+  rclcpp::shutdown();
+}
