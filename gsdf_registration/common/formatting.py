@@ -38,5 +38,5 @@ def format_numbers(numbers: Iterable[int]) -> str:
             ranges[-1][1] = number
         else:
             ranges.append([number, number])
-    return ', '.join(str(first) if first == last else f'{first} to {last}'
-                     for first, last in ranges)
+    return ', '.join(f'{first} to {last}' if last > first + 1 else
+                     ', '.join(map(str, range(first, last + 1))) for first, last in ranges)

@@ -20,7 +20,6 @@ from gsdf_registration.live.worker import LiveWorker
 from gsdf_registration.node.hints import Hint, Hints
 from gsdf_registration.node.initial_pose import InitialPoseInput
 from gsdf_registration.node.inputs import Inputs
-from gsdf_registration.node.journal import SessionFiles
 from gsdf_registration.node.lifecycle import PreparedLifecycleNode, transition
 from gsdf_registration.node.loading import load
 from gsdf_registration.node.model_reloader import ModelReloader
@@ -29,6 +28,7 @@ from gsdf_registration.node.parameters import ParameterWatch, declare_parameters
 from gsdf_registration.node.publishers import StatusPublisher
 from gsdf_registration.node.qos import OFFERED
 from gsdf_registration.node.services import Services
+from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.sim_clock import SimClock
 from gsdf_registration.node.status import combined_status, sentence
 from gsdf_registration.session import Session

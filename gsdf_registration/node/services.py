@@ -19,7 +19,7 @@ from gsdf_registration.common.rigid import Array, rms_displacement
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.node.background import BackgroundThread
-from gsdf_registration.node.journal import SessionFiles
+from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.status import pose_kept
 from gsdf_registration.node.typed_services import typed_services
 from gsdf_registration.session import Session

@@ -30,14 +30,16 @@ class AcceptedRegistration:
 
     def outdated(self, serials: NDArray[np.int64]) -> bool:
         """Return whether any of its points is missing in the collection, ``serials`` (m,)."""
-        return not np.isin(self.serials, serials, assume_unique=True).all()
+        row = np.searchsorted(serials, self.serials)
+        return len(self.serials) > 0 and bool(
+            row[-1] == len(serials) or (serials[row] != self.serials).any())
 
     def fit(self, serials: NDArray[np.int64]) -> tuple[Array, Array]:
         """
         Return residuals, m, and weights (m,) of the points in the collection, ``serials`` (m,).
 
         The weight of a point that was not registered is NaN.  The residual is NaN also for a point
-        that the registration left out as an outlier.
+        that the registration left out as an outlier or as a repeated reading.
         """
         residuals, weights = np.full(len(serials), np.nan), np.full(len(serials), np.nan)
         if self.result.residuals_m is not None and self.result.weights is not None:

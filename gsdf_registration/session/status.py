@@ -131,9 +131,10 @@ def _sentence(name: str, state: SessionState, remaining: list[str]) -> str:
         return f'registering; {amount}'
     if state.result is not None and name in ('registered', 'refused'):
         return '; '.join(part for part in (state.result.message, input_problem(state)) if part)
-    parts = [input_problem(state)]
     activity = 'collecting' if name == 'collecting' else 'not collecting'
-    parts.insert(_is_full(state), amount if _is_full(state) else f'{activity}; {amount}')
+    parts = [f'{activity}; {amount}', input_problem(state)]
+    if _is_full(state):     # it collects no more
+        parts = [input_problem(state), amount]
     if remaining:
         parts.append(f'next landmark is "{remaining[0]}"')
     return '; '.join(part for part in parts if part)

@@ -66,7 +66,7 @@ def registers(points: np.ndarray, *_: Any, **__: Any) -> RegistrationResult:
 
 
 ACTS = ['drag', 'drag', 'drag', 'hold', 'hold', 'landmark', 'verify', 'register', 'register',
-        'undo', 'clear', 'start', 'end', 'other probe', 'bad', 'load', 'model', 'withdraw']
+        'undo', 'drop', 'clear', 'start', 'end', 'other probe', 'bad', 'load', 'model', 'withdraw']
 
 
 def act(session: Session, what: str, at: dict[str, float], saved: list[Any], field: Field) -> None:
@@ -79,6 +79,7 @@ def act(session: Session, what: str, at: dict[str, float], saved: list[Any], fie
         'drag': lambda: send(7, 0.0003), 'hold': lambda: send(9, 1e-6),
         'landmark': session.capture_landmark, 'verify': session.verify,
         'register': session.register, 'undo': session.undo, 'clear': session.clear,
+        'drop': lambda: session.drop_stroke(session.status().strokes - 1),
         'start': lambda: session.collect(True), 'end': lambda: session.collect(False),
         'other probe': lambda: send(3, 0.0003, '/second'),
         'bad': lambda: send(2, 0.0003, frame='elsewhere'),
@@ -90,7 +91,7 @@ def act(session: Session, what: str, at: dict[str, float], saved: list[Any], fie
 
 
 @settings(deadline=None, max_examples=150)
-@given(st.lists(st.sampled_from(ACTS), max_size=40))
+@given(st.lists(st.sampled_from([*ACTS, 'another listener']), max_size=40))
 def test_events_reproduce_the_session(field: Field, acts: list[str]) -> None:
     session, follower = Session(CONFIG, field), Follower()
     session.listen(follower)
@@ -98,7 +99,12 @@ def test_events_reproduce_the_session(field: Field, acts: list[str]) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(session_module, 'register', registers)
         for what in acts:
-            act(session, what, at, saved, field)
+            if what == 'another listener':
+                session.stop_listening(follower)
+                follower = Follower()
+                session.listen(follower, from_start=True)
+            else:
+                act(session, what, at, saved, field)
             assert known(follower.replay.session) == known(session.to_dict()), what
     restored = Session(CONFIG, field)
     restored.restore(follower.replay.session)

@@ -11,13 +11,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from session_fixtures import CONFIG, LANDMARKS, T_TRACKER_BONE, bone, hold, registered
+from session_fixtures import (
+    CONFIG,
+    LANDMARKS,
+    T_TRACKER_BONE,
+    bone,
+    hold,
+    registered,
+    sample,
+    surface_point,
+)
 
-from gsdf_registration.common.result import InputError, Reason, RegistrationResult
+from gsdf_registration.common.result import (
+    InputError,
+    Reason,
+    RegistrationResult,
+    WeakestDirection,
+)
 from gsdf_registration.common.rigid import transform
 from gsdf_registration.field import Field
 from gsdf_registration.session import Session
 from gsdf_registration.session import session as session_module
+from gsdf_registration.session.record import SessionRecord, unpacked
 
 
 def test_a_session_survives_json(field: Field) -> None:
@@ -77,7 +92,22 @@ def test_rejects_a_session_of_another_bone(field: Field) -> None:
     lambda r: r['points'].append([1, 2]), lambda r: r.update(points=[1.0] * 16),
     lambda r: r['pose_result'].update(T_tracker_bone=[[1.0]]),
     lambda r: r['result'].update(T_tracker_bone=None),
-    lambda r: r['pose_result'].update(covariance=[1.0])
+    lambda r: r['pose_result'].update(covariance=[1.0]),
+    lambda r: r['pose_result']['predicted_tre_m'].update(rms='x'),
+    lambda r: r['pose_result'].update(message=1.5), lambda r: r['result'].update(used='7'),
+    lambda r: r['result'].update(inliers=-1), lambda r: r['result'].update(sigma_m=True),
+    lambda r: r['result'].update(received=1.5), lambda r: r['result'].pop('used'),
+    lambda r: r['result'].update(timing_s=[1.0]), lambda r: r['result'].update(used=None),
+    lambda r: r['pose_result']['weakest_direction'].update(sentence=None),
+    lambda r: r['pose_result']['weakest_direction'].update(axis=[0.0, 1.0]),
+    lambda r: r['pose_result'].update(reason='ambiguous'), lambda r: r.update(collecting=1),
+    lambda r: r['rejected'].update(stale=-1), lambda r: r['rejected'].update(stale=1.5),
+    lambda r: r.update(rejected=[1]), lambda r: r.update(sources=[1]),
+    lambda r: r['frames'].update(points=1), lambda r: r['frames'].update(pose=None),
+    lambda r: r['landmarks'][0].update(name=1), lambda r: r['landmarks'][0].update(stamp='now'),
+    lambda r: r['points'][0].__setitem__(3, 1e9), lambda r: r['points'][0].__setitem__(2, 1e400),
+    lambda r: r['points'][0].__setitem__(7, 2.0), lambda r: r['points'][0].__setitem__(6, 1e400),
+    lambda r: r['points'][0].__setitem__(4, 'x'), lambda r: r.update(points='AAAA'),
 ])
 def test_rejects_a_damaged_session_and_keeps_its_state(field: Field,
                                                        damage: Callable[[Any], Any]) -> None:
@@ -88,3 +118,45 @@ def test_rejects_a_damaged_session_and_keeps_its_state(field: Field,
     with pytest.raises(InputError, match='damaged'):
         session.restore(record)
     assert session.status() == before
+
+
+def test_packed_points_are_the_rows(field: Field) -> None:
+    session = registered(field)
+    hold(session, transform(T_TRACKER_BONE, LANDMARKS[0]), 1000.0)
+    packed: list[Any] = []
+    session.listen(lambda event, value: packed.append(value), from_start=True)
+    (record,) = json.loads(json.dumps(packed, allow_nan=False))
+    assert isinstance(record['points'], str)
+    assert unpacked(record['points']) == session.to_dict()['points']
+    for damaged in ('AAAA', record['points'][:-4], '!' + record['points'][1:]):
+        with pytest.raises(ValueError):
+            unpacked(damaged)
+
+
+def test_infinite_values_are_restored(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:
+    screw = WeakestDirection(np.eye(3)[0], np.zeros(3), np.inf, 0.0, np.inf, 'along x')
+    result = RegistrationResult(Reason.CONVERGED, 'found', np.eye(4), weakest_direction=screw,
+                                predicted_tre_m={'rms': np.inf, 'max': 0.5})
+    monkeypatch.setattr(session_module, 'register', lambda *_, **__: result)
+    session = Session(CONFIG, field)
+    session.register()
+    session.restore(json.loads(json.dumps(session.to_dict(), allow_nan=False)))
+    loaded = session.status().result
+    assert loaded is not None and loaded.weakest_direction is not None
+    assert loaded.weakest_direction.pitch_m_per_rad == np.inf
+    assert loaded.weakest_direction.translation_sigma_m == np.inf
+    assert loaded.predicted_tre_m == {'rms': None, 'max': 0.5}
+
+
+def test_points_are_added_while_a_session_is_converted(field: Field,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    session, record = registered(field), registered(field).to_dict()
+    added: list[Any] = []
+
+    def convert(*given: Any) -> SessionRecord:
+        added.append(session.add(sample(2000.0, surface_point(field, 3))))  # waits if it is locked
+        return real(*given)
+    real = SessionRecord.from_dict
+    monkeypatch.setattr(SessionRecord, 'from_dict', convert)
+    session.restore(record)
+    assert added == [None] and session.status().kept == 300

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from session_fixtures import (
@@ -24,7 +26,7 @@ from gsdf_registration.common.rigid import transform
 from gsdf_registration.common.samples import Rejection
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
-from gsdf_registration.session import Session
+from gsdf_registration.session import Answer, Session
 from gsdf_registration.session import session as session_module
 
 
@@ -140,6 +142,42 @@ def test_undo_drops_one_stroke_after_another(field: Field) -> None:
     session.undo(), session.undo()
     assert not session.undo().success
     assert session.status().kept == 0
+
+
+def test_drops_any_stroke(field: Field) -> None:
+    session = Session(CONFIG, field)
+    events: list[Any] = []
+    line = np.linspace([0.0, 0.0, 0.0], [0.1, 0.0, 0.0], 100)
+    for stroke in range(4):
+        session.collect(True)
+        for i, point in enumerate(line):
+            session.add(sample(10.0 * stroke + i / RATE, point))
+    session.listen(lambda *event: events.append(event))
+    assert session.drop_stroke(3).message == (
+        'dropped stroke 3, 100 points; 300 points in 3 strokes left')
+    assert events[-1] == ('undo', 3)
+    assert np.unique(session.points().strokes).tolist() == [1, 2, 4]
+    assert session.drop_stroke(3) == Answer(
+        False, 'there is no stroke 3; the strokes are 1, 2, 4')
+    assert session.undo().success and session.drop_stroke(1).success
+    assert np.unique(session.points().strokes).tolist() == [2]
+    assert session.drop_stroke(2).message.endswith('0 points in 0 strokes left')
+    assert session.drop_stroke(2) == Answer(False, 'there is no stroke 2; there are no strokes')
+
+
+def test_a_registration_is_outdated_when_a_stroke_of_it_is_dropped(field: Field) -> None:
+    session = registered(field)
+    assert not session.drop_stroke(1000).success and not session.status().outdated
+    assert session.drop_stroke(30).success and session.status().outdated
+
+
+def test_points_after_a_dropped_stroke_start_another(field: Field) -> None:
+    session = Session(CONFIG, field)
+    send(session, surface_points(field, 5))
+    numbers = np.unique(session.points().strokes).tolist()
+    assert session.drop_stroke(numbers[-1]).success     # the one that is being collected
+    send(session, surface_points(field, 1), start=0.5 + len(numbers))
+    assert session.points().strokes[-1] == numbers[-1] + 1
 
 
 def test_clear_drops_points_and_landmarks(field: Field) -> None:
