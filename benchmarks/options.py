@@ -60,7 +60,7 @@ def bones(folder: str | None) -> list[Path]:
 
 def about(cases: list[Case], seed: int, config: Config) -> dict[str, Any]:
     """Return what the rows of a table depend on, as JSON values."""
-    from benchmarks.execution.journal import source_hash
+    from benchmarks.execution.result_table import source_hash
     from gsdf_registration import __version__
     from msg_adapters.files import sha256_of
     return {

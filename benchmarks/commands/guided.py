@@ -13,7 +13,7 @@ from gsdf_registration.common.command_line import example, number, positive_numb
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
-    from benchmarks.execution.journal import Row
+    from benchmarks.execution.result_table import Row
 
 WIDTHS = (32, 6, 8, 8, 7, 17, 13, 8, 8, 7, 8, 8, 8, 7)
 
@@ -50,7 +50,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the simulations and print the tables."""
     from benchmarks.execution.runner import run_all
-    from benchmarks.guided.collection import collections, run_collection
+    from benchmarks.guided.runs import runs_of, simulate_run
     from benchmarks.guided.tables import page
     from benchmarks.protocol.cases import find_cases
     from msg_adapters.files import write_atomically
@@ -63,9 +63,8 @@ def run(args: argparse.Namespace) -> int:
         require_plotly()
     cases = find_cases(bones(args.bones))
     config = read_config(args.config).replaced({'search.threads': 1})
-    runs = collections(cases, args.runs, args.seed, args.strokes, args.points,
-                       1e-3 * args.limit)
-    rows = run_all({run.name: run for run in runs}, partial(run_collection, config=config),
+    runs = runs_of(cases, args.runs, args.seed, args.strokes, args.points, 1e-3 * args.limit)
+    rows = run_all({run.name: run for run in runs}, partial(simulate_run, config=config),
                    label='runs', output=Path(args.output) if args.output else None,
                    about={**about(cases, args.seed, config), 'strokes': args.strokes,
                           'points': args.points, 'limit': args.limit})
@@ -77,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 def show(rows: list[Row], limit: float) -> None:
     """Print the table of each goal; ``limit`` in mm."""
-    from benchmarks.guided.collection import GOALS
+    from benchmarks.guided.runs import GOALS
     from benchmarks.guided.tables import COLUMNS, table
     for goal, where in GOALS.items():
         print(f'points until the error (RMS) {where} is {limit:g} mm:\n'

@@ -143,7 +143,7 @@ def environments(methods: Sequence[Method]) -> tuple[dict[str, Path], dict[str, 
 
 def caption(found: list[Case], trials: int) -> str:
     """Return the text above the tables."""
-    from benchmarks.peers.caller import LIMIT
+    from benchmarks.peers.peer_process import LIMIT
     from benchmarks.protocol.scoring import FAR
     return CAPTION.format(
         bones=len({case.bone for case in found}), cases=len(found), trials=trials, limit=LIMIT,

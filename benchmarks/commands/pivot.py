@@ -111,8 +111,8 @@ def peer_answers(recordings: list[PivotRecording]) -> tuple[dict[str, list[Answe
 
     import numpy as np
 
-    from benchmarks.peers.caller import WORKERS
     from benchmarks.peers.environment import Group, clean_environment, environment
+    from benchmarks.peers.peer_process import WORKERS
     group = Group('pivot', ('3.12', '3.11', '3.10'), ('setuptools<80', 'wheel', 'numpy'),
                   {LIBRARY: (f'{LIBRARY}==1.2.6',)})
     found = environment(group)

@@ -14,7 +14,7 @@ from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
-    from benchmarks.execution.journal import Row
+    from benchmarks.execution.result_table import Row
     from benchmarks.protocol.cases import Case
     from benchmarks.protocol.trials import Scenario, Trial
     from gsdf_registration.common.config import Config

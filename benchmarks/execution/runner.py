@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmarks.execution.journal import Journal, Row
+from benchmarks.execution.result_table import ResultTable, Row
 from gsdf_registration.common.result import InputError
 
 Job = TypeVar('Job')
@@ -39,7 +39,7 @@ def run_all(jobs: Mapping[str, Job], work: Callable[[Job], Row], *, output: Path
     jobs : by unique names; jobs and ``work`` are pickled
     work : a function of a module that returns a row: column -> str, number, bool or None; every
         row has the same columns
-    output : table to write or to continue, see `Journal`; None: none
+    output : table to write or to continue, see `ResultTable`; None: none
     about : what the rows depend on; an ``output`` with another ``about`` is rejected
     label : of the progress bar, which is shown if standard error is a terminal
     workers : number of processes; None: one per core
@@ -50,13 +50,13 @@ def run_all(jobs: Mapping[str, Job], work: Callable[[Job], Row], *, output: Path
         If ``output`` cannot be continued, or from a job; the rows computed so far are kept.
 
     """
-    journal = Journal(output, about or {})
-    left = {name: job for name, job in jobs.items() if name not in journal.rows}
+    table = ResultTable(output, about or {})
+    left = {name: job for name, job in jobs.items() if name not in table.rows}
     with _progress(label, len(jobs), len(jobs) - len(left)) as advance:
         for name, row in _finished(left, work, workers or os.cpu_count() or 1):
-            journal.add(name, row)
+            table.add(name, row)
             advance()
-    return [journal.rows[name] for name in jobs]
+    return [table.rows[name] for name in jobs]
 
 
 def _finished(jobs: Mapping[str, Job], work: Callable[[Job], Row],

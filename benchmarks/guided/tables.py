@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.execution.journal import Row
-from benchmarks.guided.collection import GOALS, STRATEGIES
+from benchmarks.execution.result_table import Row
+from benchmarks.guided.runs import GOALS, STRATEGIES
 from gsdf_registration.common.rigid import Array, rms
 
 COLUMNS = ('bone and region', 'runs', 'random', 'guided', 'fewer', 'fewer/same/more', 'error then',

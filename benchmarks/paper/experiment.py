@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from benchmarks.execution.journal import Row
-from benchmarks.peers.caller import Caller, PeerError
+from benchmarks.execution.result_table import Row
 from benchmarks.peers.catalogue import PEERS
+from benchmarks.peers.peer_process import PeerError, PeerProcess
 from benchmarks.protocol import cases
 from benchmarks.protocol.cases import Case
 from benchmarks.protocol.scoring import (
@@ -161,33 +161,33 @@ def _guided(job: Job, problem: Problem) -> Answer:
         return Answer('answered', '', inverse(solution.T_bone_tracker), perf_counter() - started)
     noise = float(np.sqrt(np.mean(np.square(problem.trial.scenario.sigma))))
     try:
-        motion, seconds = _caller(job)(transform(start, points), noise)
+        motion, seconds = _process(job)(transform(start, points), noise)
     except PeerError as error:
         return Answer('timeout' if error.timeout else 'failed', str(error))
     return Answer('answered', '', inverse(motion @ start), seconds)
 
 
-_running: dict[tuple[str, str], Caller] = {}        # at most one, in this process
+_running: dict[tuple[str, str], PeerProcess] = {}   # at most one, in this process
 _failed: dict[tuple[str, str], PeerError] = {}      # could not be prepared; not tried again
 
 
-def _caller(job: Job) -> Caller:
+def _process(job: Job) -> PeerProcess:
     """Return the process of the peer with the bone prepared; an earlier one is closed."""
     key = job.method.peer, job.trial.model
     if key in _failed:
         raise _failed[key]
-    caller = _running.get(key)
-    if caller is None or not caller.alive:
+    process = _running.get(key)
+    if process is None or not process.alive:
         while _running:
             _running.popitem()[1].close()
         try:
-            caller = Caller(job.python, PEERS[job.method.peer].worker,
-                            model_file(job.trial.model, job.models))
+            process = PeerProcess(job.python, PEERS[job.method.peer].worker,
+                                  model_file(job.trial.model, job.models))
         except PeerError as error:
             _failed[key] = error
             raise
-        _running[key] = caller
-    return caller
+        _running[key] = process
+    return process
 
 
 @cache

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import plotly.graph_objects as go
 
-from benchmarks.execution.journal import Row
+from benchmarks.execution.result_table import Row
 from benchmarks.html import document
 from benchmarks.paper.published import LEVELS
 from benchmarks.paper.tables import Figures, figures

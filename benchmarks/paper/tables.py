@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
-from benchmarks.execution.journal import Row
+from benchmarks.execution.result_table import Row
 from benchmarks.paper.experiment import TABLES
 from benchmarks.paper.published import LEVELS, REGIONS
 

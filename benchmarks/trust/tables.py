@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.execution.journal import Row
+from benchmarks.execution.result_table import Row
 from benchmarks.protocol.trials import SCENARIOS
 from gsdf_registration.common.rigid import rms
 

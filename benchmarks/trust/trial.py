@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from benchmarks.execution.journal import Row
+from benchmarks.execution.result_table import Row
 from benchmarks.protocol.scoring import (
     PoseErrors,
     cramer_rao,

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.guided.collection import (
+from benchmarks.guided.runs import (
     STEP,
     STRATEGIES,
-    Collection,
-    collections,
-    run_collection,
+    Run,
+    runs_of,
+    simulate_run,
     stroke,
 )
 from benchmarks.guided.tables import needed, page, table
@@ -39,8 +39,8 @@ def test_stroke_is_over_its_place_on_the_exposed_area(femur_bone: Path) -> None:
 
 
 def run(bone_file: Path, strategy: str) -> dict[str, Any]:
-    return run_collection(Collection(Case(str(bone_file), 'condyles'), strategy, 1, 3, 30, 1e-3),
-                          Config().replaced({'search.threads': 1}))
+    return simulate_run(Run(Case(str(bone_file), 'condyles'), strategy, 1, 3, 30, 1e-3),
+                        Config().replaced({'search.threads': 1}))
 
 
 def test_guidance_reduces_the_error_faster(femur_bone: Path) -> None:
@@ -55,7 +55,7 @@ def test_guidance_reduces_the_error_faster(femur_bone: Path) -> None:
 
 def test_runs_alternate_between_cases(femur_bone: Path) -> None:
     cases = [Case(str(femur_bone), region) for region in ('condyles', 'proximal_femur')]
-    runs = list(collections(cases, 3, 7, 5, 30, 1e-3))
+    runs = list(runs_of(cases, 3, 7, 5, 30, 1e-3))
     assert [run.name for run in runs[:4]] == [
         *(f'femur/condyles/{strategy}/7' for strategy in STRATEGIES),
         'femur/proximal_femur/random/7']

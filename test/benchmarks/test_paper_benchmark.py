@@ -14,7 +14,7 @@ from benchmarks.__main__ import main
 from benchmarks.paper import experiment
 from benchmarks.paper.experiment import METHODS, SAMPLED, TABLES, Job, run_trial, trials_of
 from benchmarks.paper.tables import figures, markdown, tsv
-from benchmarks.peers.caller import PeerError
+from benchmarks.peers.peer_process import PeerError
 from benchmarks.protocol import starts
 from benchmarks.protocol.cases import Case, find_cases
 from benchmarks.protocol.trials import SCENARIOS, Problem, Trial, make
@@ -91,7 +91,7 @@ def test_row_of_a_peer_without_an_answer(hip_bone: Path, tmp_path: Path, timeout
     def fails(*_: Any) -> None:
         tried.append(1)
         raise PeerError('no answer', timeout)
-    monkeypatch.setattr(experiment, 'Caller', fails)
+    monkeypatch.setattr(experiment, 'PeerProcess', fails)
     monkeypatch.setattr(experiment, '_failed', {})
     for _ in range(2):
         row = run_trial(job('MeshLib', hip_bone, tmp_path))
@@ -118,7 +118,7 @@ def test_pose_of_a_peer_combines_start_and_motion(
 
         def close(self) -> None:
             pass
-    monkeypatch.setattr(experiment, 'Caller', Perfect)
+    monkeypatch.setattr(experiment, 'PeerProcess', Perfect)
     monkeypatch.setattr(experiment, '_running', {})
     row = run_trial(job('MeshLib', hip_bone, tmp_path))
     assert row['status'] == 'answered' and row['success'] and row['seconds'] == 0.25

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks.paper import experiment
-from benchmarks.peers import caller, environment
-from benchmarks.peers.caller import Caller, PeerError
+from benchmarks.peers import environment, peer_process
 from benchmarks.peers.environment import Group
+from benchmarks.peers.peer_process import PeerError, PeerProcess
 from gsdf_registration.common import rigid
 
 OWN = '.'.join(map(str, sys.version_info[:2]))
@@ -53,14 +53,15 @@ def unfit(model):
 @pytest.fixture
 def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Return a function that starts one of the peers above."""
-    shutil.copy(caller.WORKERS / 'worker.py', tmp_path)
+    shutil.copy(peer_process.WORKERS / 'worker.py', tmp_path)
     (tmp_path / 'stub.py').write_text(STUB)
     np.savez(tmp_path / 'model.npz', offset=np.array([1.0, 2.0, 3.0]))
-    monkeypatch.setattr(caller, 'WORKERS', tmp_path)
-    opened: list[Caller] = []
+    monkeypatch.setattr(peer_process, 'WORKERS', tmp_path)
+    opened: list[PeerProcess] = []
 
-    def work(peer: str, limit: float = 60.0) -> Caller:
-        opened.append(Caller(Path(sys.executable), ('stub', peer), tmp_path / 'model.npz', limit))
+    def work(peer: str, limit: float = 60.0) -> PeerProcess:
+        opened.append(PeerProcess(Path(sys.executable), ('stub', peer), tmp_path / 'model.npz',
+                                  limit))
         return opened[-1]
     yield work
     for peer in opened:
@@ -148,7 +149,7 @@ def test_icps_correct_a_small_displacement(library: str, worker: str, hip_bone: 
     model = experiment.model_file(str(hip_bone), tmp_path)
     points = np.load(model)['points'][:1500]
     off = rigid.exp([0.02, -0.03, 0.01, 0.002, 0.001, -0.002])
-    peer = Caller(Path(sys.executable), ('icp', worker), model)
+    peer = PeerProcess(Path(sys.executable), ('icp', worker), model)
     motion, _ = peer(rigid.transform(off, points), 5e-4)
     peer.close()
     assert np.linalg.norm(rigid.transform(motion @ off, points) - points, axis=1).max() < 5e-4

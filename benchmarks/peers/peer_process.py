@@ -30,7 +30,7 @@ class PeerError(Exception):
         self.timeout = timeout
 
 
-class Caller:
+class PeerProcess:
     """
     A peer with a prepared bone.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.execution.journal import Journal, source_hash
+from benchmarks.execution.result_table import ResultTable, source_hash
 from gsdf_registration.common.result import InputError
 
 ABOUT = {'seed': 1, 'config': {'search.parts': 3}}
@@ -18,14 +18,14 @@ ROW = {'name': 'a\tb "c"\né', 'x': 0.1 + 0.2, 'n': 3, 'ok': True, 'none': None}
 @pytest.fixture
 def table(tmp_path: Path) -> Path:
     path = tmp_path / 'table.tsv'
-    journal = Journal(path, ABOUT)
-    journal.add('first', ROW)
-    journal.add('second', {**ROW, 'x': float('inf')})
+    results = ResultTable(path, ABOUT)
+    results.add('first', ROW)
+    results.add('second', {**ROW, 'x': float('inf')})
     return path
 
 
 def test_reads_the_rows_that_were_added(table: Path) -> None:
-    rows = Journal(table, ABOUT).rows
+    rows = ResultTable(table, ABOUT).rows
     assert rows['first'] == {'job': 'first', **ROW}
     assert rows['second']['x'] == float('inf')
     lines = table.read_text().splitlines()
@@ -38,18 +38,18 @@ def test_cuts_off_an_incomplete_last_row(table: Path) -> None:
     last = whole.rstrip(b'\n').rfind(b'\n') + 1
     for end in (last, last + 1, len(whole) - 20, len(whole) - 1):
         table.write_bytes(whole[:end])
-        journal = Journal(table, ABOUT)
-        assert list(journal.rows) == ['first']
-        journal.add('second', {**ROW, 'x': float('inf')})
+        results = ResultTable(table, ABOUT)
+        assert list(results.rows) == ['first']
+        results.add('second', {**ROW, 'x': float('inf')})
         assert table.read_bytes() == whole
 
 
 def test_names_the_inputs_that_differ(table: Path) -> None:
     before = table.read_bytes()
     with pytest.raises(InputError, match='other config; give another file'):
-        Journal(table, {**ABOUT, 'config': {'search.parts': 4}})
+        ResultTable(table, {**ABOUT, 'config': {'search.parts': 4}})
     with pytest.raises(InputError, match='other bones, seed'):
-        Journal(table, {**ABOUT, 'seed': 2, 'bones': {}})
+        ResultTable(table, {**ABOUT, 'seed': 2, 'bones': {}})
     assert table.read_bytes() == before
 
 
@@ -58,7 +58,7 @@ def test_rejects_other_files(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / 'other'
     path.write_bytes(content)
     with pytest.raises(InputError, match='is not a table of a benchmark'):
-        Journal(path, ABOUT)
+        ResultTable(path, ABOUT)
     assert path.read_bytes() == content
 
 
@@ -67,19 +67,19 @@ def test_names_a_damaged_row(table: Path) -> None:
     lines[2] = lines[2][:-3] + '\t}'
     table.write_text('\n'.join(lines) + '\n')
     with pytest.raises(InputError, match='line 3: this is not a row'):
-        Journal(table, ABOUT)
+        ResultTable(table, ABOUT)
 
 
 def test_rejects_other_columns(table: Path) -> None:
     with pytest.raises(ValueError, match='columns'):
-        Journal(table, ABOUT).add('third', {'x': 1.0})
+        ResultTable(table, ABOUT).add('third', {'x': 1.0})
 
 
 def test_writes_to_an_empty_file(tmp_path: Path) -> None:
     path = tmp_path / 'empty.tsv'
     path.touch()
-    Journal(path, ABOUT).add('a', ROW)
-    assert list(Journal(path, ABOUT).rows) == ['a']
+    ResultTable(path, ABOUT).add('a', ROW)
+    assert list(ResultTable(path, ABOUT).rows) == ['a']
 
 
 def test_hash_of_the_sources_is_stable() -> None:

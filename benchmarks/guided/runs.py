@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate the collection of strokes with guidance and at random, and register after each."""
+"""Simulate runs of strokes with guidance and at random, and register after each stroke."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.execution.journal import Row
+from benchmarks.execution.result_table import Row
 from benchmarks.protocol.cases import Case, bone, region_patch
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
@@ -38,7 +38,7 @@ GAP = 0.004             # m, maximum distance of an exposed patch from one of th
 
 
 @dataclass(frozen=True)
-class Collection:
+class Run:
     """
     A run of strokes with one of `STRATEGIES` over an exposed area.
 
@@ -61,16 +61,16 @@ class Collection:
         return f'{self.case.name}/{self.strategy}/{self.seed}'
 
 
-def collections(cases: Sequence[Case], runs: int, seed: int, strokes: int, points: int,
-                limit: float) -> Iterator[Collection]:
-    """Yield ``runs`` of each strategy, alternating the cases, so that a short run has all cases."""
+def runs_of(cases: Sequence[Case], runs: int, seed: int, strokes: int, points: int,
+            limit: float) -> Iterator[Run]:
+    """Yield ``runs`` of each strategy, alternating the cases: few runs cover all cases."""
     for number in range(runs):
         case = cases[number % len(cases)]
         for strategy in STRATEGIES:
-            yield Collection(case, strategy, seed + number // len(cases), strokes, points, limit)
+            yield Run(case, strategy, seed + number // len(cases), strokes, points, limit)
 
 
-def run_collection(run: Collection, config: Config) -> Row:
+def simulate_run(run: Run, config: Config) -> Row:
     """
     Return the row of a run: the points, and the predicted and true TRE after each stroke.
 
@@ -103,7 +103,7 @@ def run_collection(run: Collection, config: Config) -> Row:
 class _Surgery:
     """An exposed area of a bone at a random pose, and the probe that touches it."""
 
-    def __init__(self, run: Collection) -> None:
+    def __init__(self, run: Run) -> None:
         self.run, self.rng = run, np.random.default_rng(
             [zlib.crc32(run.case.name.encode()), run.seed])
         self.field = bone(run.case.bone)

@@ -23,7 +23,7 @@ NOT_HASHED = ('cli', 'clients', 'commands', 'node', 'visualization')
 Row = dict[str, Any]    # column -> str, number, bool or None
 
 
-class Journal:
+class ResultTable:
     """
     The rows of a run by the name of their job, stored in a file if one is given.
 
