@@ -124,7 +124,7 @@ def test_registers_a_moving_bone_like_a_stationary_one(node: NodeProcess,
     tracker = tracker_of_moving
     client, sway = tracker.client, Sway(tracker.truth.T_tracker_bone @ T_TRACKER_ARRAY)
     T_moving, frame_id = register(tracker)
-    assert frame_id == 'reference_array'
+    assert frame_id == 'moving_reference_array'
     tracker.assert_near_truth(sway.T_tracker_body @ T_moving, STILL)
 
     on_bone = tracker.positions[300]
