@@ -14,10 +14,12 @@ export AMENT_PREFIX_PATH := $(VENV)
 
 demo: $(VENV)/.installed-ros,messages,report $(VENV)/.shared
 	$(BIN)/python tools/build_messages.py --optional
+	$(BIN)/gsdf warm-up
 	$(BIN)/gsdf demo
 
 test: $(VENV)/.installed-ros,messages,test $(VENV)/.shared
 	$(BIN)/python tools/build_messages.py
+	$(BIN)/gsdf warm-up
 	$(BIN)/pytest $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-ros,messages,test

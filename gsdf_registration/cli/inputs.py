@@ -48,6 +48,24 @@ def field_or_refusal(config: Config) -> Field | Refusal:
         return error
 
 
+def prepare_kernels(config: Config) -> None:
+    """
+    Compile the kernels if they are not in the cache.
+
+    This comes before the times of a registration are measured.
+
+    Raises
+    ------
+    InputError
+        If there is no model, before any compilation.
+
+    """
+    from gsdf_registration.cli import warm_up
+    from gsdf_registration.field.model import find_model
+    find_model(config.model.path)
+    warm_up.prepare_kernels()
+
+
 def read_recording(path: str, config: Config, topics: Sequence[str] | None = None) -> Recording:
     """Return the points of a bag, with the poses of the reference array if the settings ask."""
     from msg_adapters.bag import read_bag

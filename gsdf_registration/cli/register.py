@@ -45,8 +45,9 @@ def run(args: argparse.Namespace) -> int:
     from msg_adapters.points import read_points
 
     outputs.require_report(args.report)
-    started = time.perf_counter()
     config = inputs.effective_config(args)
+    inputs.prepare_kernels(config)
+    started = time.perf_counter()
     T_tracker_bone = inputs.read_initial(args.initial)
     landmarks = inputs.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
     recording = read_points(args.points, args.unit)

@@ -76,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError('--report describes one recording; give one BAG or leave out --report')
     outputs.require_report(args.report)
     config = inputs.effective_config(args)
+    inputs.prepare_kernels(config)
     landmarks = inputs.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
     T_tracker_bone = inputs.read_initial(args.initial)
     started = time.perf_counter()

@@ -35,6 +35,8 @@ def summary(result: RegistrationResult, frame_id: str = '',
     counts = counts_by_cause(rejected or {})
     points = [('points', f'{result.received} received, {result.used} used, '
                f'{result.inliers} inliers')] if result.received else []
+    left_out = counts_by_cause(result.left_out)
+    points += [('left out', left_out)] if left_out else []
     points += [('rejected', counts)] if counts else []
     T = result.T_tracker_bone
     if T is None:

@@ -15,11 +15,13 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from gsdf_registration.common.result import Refusal
+
+BAR_WIDTH = 40      # characters, of a progress bar
 
 
 class HelpFormatter(argparse.HelpFormatter):
@@ -183,3 +185,25 @@ def spinner(text: str) -> Iterator[None]:
     from rich.console import Console
     with Console(stderr=True).status(text):
         yield
+
+
+@contextmanager
+def progress_bar(text: str) -> Iterator[Callable[[float], None]]:
+    """
+    Show a progress bar on a terminal; print nothing if the output is not a terminal.
+
+    It yields a function to be called with the finished share, 0 to 1.
+    """
+    if not sys.stderr.isatty():
+        yield lambda share: None
+        return
+
+    def show(share: float) -> None:
+        bar = '#' * round(BAR_WIDTH * share)
+        print(f'\r{text} [{bar:<{BAR_WIDTH}}] {100.0 * share:3.0f} %', end='', file=sys.stderr,
+              flush=True)
+    show(0.0)
+    try:
+        yield show
+    finally:
+        print(file=sys.stderr)

@@ -9,11 +9,18 @@ numba need not count references to arrays, which saves a fifth of the time.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-import numba as nb
+# imported before numba, which reads NUMBA_CACHE_DIR
+from gsdf_registration.common.kernel_cache import cache_folder  # isort: skip
 
-_options: dict[str, Any] = {'nogil': True, 'cache': True, 'error_model': 'numpy'}
+import numba as nb
+from numba.core import event
+
+_options: dict[str, Any] = {'nogil': True, 'cache': cache_folder() is not None,
+                            'error_model': 'numpy'}
 
 # IEEE arithmetic in the order of the source
 compiled = nb.njit(**_options)
@@ -26,3 +33,21 @@ reordered = nb.njit(fastmath={'contract', 'reassoc', 'nsz', 'nnan', 'ninf', 'arc
                     forceinline=True, **_options)
 # all optimizations, for values that are known to be finite
 vectorized = nb.njit(fastmath=True, **_options)
+
+
+class _Listener(event.Listener):
+    def __init__(self, call: Callable[[], None]) -> None:
+        self._call = call
+
+    def on_start(self, event: event.Event) -> None:
+        pass
+
+    def on_end(self, event: event.Event) -> None:
+        self._call()
+
+
+@contextmanager
+def on_compilation(call: Callable[[], None]) -> Iterator[None]:
+    """Call ``call`` after each function that numba compiles or loads from its cache."""
+    with event.install_listener('numba:compile', _Listener(call)):
+        yield

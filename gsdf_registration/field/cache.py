@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.user_cache import user_cache
 from gsdf_registration.field.build import build_field
 from gsdf_registration.field.field import Field
 from gsdf_registration.field.store import VERSION, load_field, save_field
@@ -17,12 +18,11 @@ _log = logging.getLogger('gsdf_registration')
 
 
 def cache_directory() -> Path:
-    """Return the cache directory: ``$GSDF_CACHE_DIR``, else ``gsdf`` in the XDG cache directory."""
+    """Return ``$GSDF_CACHE_DIR``, else the folder ``gsdf`` in the cache folder of the user."""
     directory = os.environ.get('GSDF_CACHE_DIR')
     if directory:
         return Path(directory)
-    base = os.environ.get('XDG_CACHE_HOME')
-    return (Path(base) if base else Path.home() / '.cache') / 'gsdf'
+    return user_cache() / 'gsdf'
 
 
 def cached_field(bone: Bone, voxel_size: float = 0.001) -> Field:

@@ -11,7 +11,7 @@ from gsdf_registration.common.numba_options import kernel
 @kernel
 def to_centroid_frame(points, T, centred, centroid, R, t):
     """
-    Center points and convert their pose.
+    Centre the points and convert their pose.
 
     points, T : (n, 3) and (4, 4), m, the points and their pose
     centred, centroid : (n, 3) and (3,), m, filled
@@ -25,7 +25,9 @@ def to_centroid_frame(points, T, centred, centroid, R, t):
     for k in range(len(points)):
         for i in range(3):
             centred[k, i] = points[k, i] - centroid[i]
-    R[:] = T[:3, :3]
+    for i in range(3):
+        for j in range(3):      # assigning a slice would take four seconds to compile
+            R[i, j] = T[i, j]
     _orthonormalize(R)
     for i in range(3):
         t[i] = T[i, 0] * centroid[0] + T[i, 1] * centroid[1] + T[i, 2] * centroid[2] + T[i, 3]
@@ -35,9 +37,10 @@ def to_centroid_frame(points, T, centred, centroid, R, t):
 def from_centroid_frame(centroid, R, t, T):
     """Fill ``T`` (4, 4), the pose of the original points; ``R`` is orthonormalized first."""
     _orthonormalize(R)
-    T[:] = 0.0
-    T[:3, :3] = R
     for i in range(3):
+        for j in range(3):
+            T[i, j] = R[i, j]
+        T[3, i] = 0.0
         T[i, 3] = t[i] - R[i, 0] * centroid[0] - R[i, 1] * centroid[1] - R[i, 2] * centroid[2]
     T[3, 3] = 1.0
 
