@@ -136,13 +136,13 @@ class LandmarksConfig:
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """The global search for an initial guess."""
+    """The global search for an initial guess; at the upper limits it takes about half a minute."""
 
-    rotations: int = setting(200, 'number of rotations to try', '', 1, 100_000)
+    rotations: int = setting(200, 'number of rotations to try', '', 1, 1000)
     places: int = setting(100, 'number of places on the bone to try for each rotation', '', 1,
-                          10_000)
+                          300)
     parts: int = setting(7, 'number of places around which subsets of the points are also tried '
-                         'alone', '', 0, 100)
+                         'alone', '', 0, 20)
     threads: int = setting(0, 'number of threads; 0: one per core', '', 0, 256)
 
 

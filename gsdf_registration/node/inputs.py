@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.clock import Clock, ClockChange, ClockType, JumpThreshold, TimeJump
+from rclpy.clock import ClockChange, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -21,7 +21,7 @@ from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import SampleSink
 from gsdf_registration.node import transforms
 from gsdf_registration.node.hints import Arrivals, type_name
-from gsdf_registration.node.qos import POINTS, UNWATCHED_POINTS
+from gsdf_registration.node.qos import POINTS, STEADY, UNWATCHED_POINTS
 from gsdf_registration.tracking.clock import BACK
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
@@ -33,7 +33,6 @@ IDLE_PERIOD = 1.0   # s, the same if no point can wait
 MAX_BATCH = 2000    # messages of one topic per callback; then other topics are served
 SHOW_FOR = 3.0      # s for which the status says why points were rejected
 LOG_PERIOD = 10.0   # s, between two equal log lines
-STEADY = Clock(clock_type=ClockType.STEADY_TIME)    # ROS time may stand still
 
 
 class Inputs:

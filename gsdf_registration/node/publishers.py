@@ -17,7 +17,7 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.live import LivePose, LiveStatus
 from gsdf_registration.node.frame_watch import FrameWatch
-from gsdf_registration.node.qos import LATCHED, UNWATCHED
+from gsdf_registration.node.qos import LATCHED, STEADY, UNWATCHED
 from gsdf_registration.node.status import status_message, with_stamp
 from gsdf_registration.session.status import Status
 from msg_adapters import ros
@@ -147,7 +147,8 @@ class PosePublishers:
             self._node.destroy_timer(self._timer)
         self._timer = None
         if self._transform is not None and self._tf is not None and self._rate > 0.0:
-            self._timer = self._node.create_timer(1.0 / self._rate, self._publish_transform)
+            self._timer = self._node.create_timer(1.0 / self._rate, self._publish_transform,
+                                                  clock=STEADY)
 
     def _publish_transform(self) -> None:
         if self._transform is not None and self._tf is not None:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""QoS profiles of the topics; a client of the node needs compatible ones."""
+"""QoS profiles of the topics, which clients of the node must match; and the clock of timers."""
 
 from __future__ import annotations
 
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -24,3 +25,6 @@ UNWATCHED_POINTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 # What the node offers where subscribers may ask for something else, see `node.hints`
 OFFERED = {'~/status': LATCHED, '~/bone_pose': LATCHED, '~/live_pose': QoSProfile(depth=10),
            '/diagnostics': QoSProfile(depth=10), '/tf': QoSProfile(depth=100)}
+
+# Timers run by this clock: ROS time stands still without /clock, or after the end of a recording
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from gsdf_registration.common.config import Config, settings
+from gsdf_registration.common.config import Config, UnmatchedPlaces, settings
 from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.common.settings_schema import default_value
 
@@ -124,11 +124,25 @@ def test_from_nested_skips_node_name_and_ros_parameters(wrap: Any) -> None:
     ({'landmarks.names': ['a']}, 'landmarks.names: 3 numbers, not 0'),
     ({'targets.positions': [0.0, 0.0]}, 'targets.names: 0 numbers, not 2'),
     ({'targets.names': ['a', 'a'], 'targets.positions': 6 * [0.0]}, 'has a duplicate name'),
+    ({'guidance.near': ['a']}, 'neither a landmark nor a target'),
+    ({'tf.rate': 1e-300}, 'tf.rate must be 0 or at least 0.01 Hz'),
+    ({'gate.max_speed': 10**400}, 'gate.max_speed must be a finite number'),
+    ({'x' * 5000: 1}, r'unknown parameter "x{100}\.\.\."'),
 ])
 def test_rejects_invalid_values_with_a_message(values: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence) as refusal:
         Config.from_flat(values)
     assert refusal.value.reason is Reason.BAD_INPUT
+
+
+def test_says_which_of_two_settings_is_waited_for() -> None:
+    names, positions = {'landmarks.names': ['a', 'b', 'c']}, {'landmarks.positions': 9 * [0.0]}
+    with pytest.raises(UnmatchedPlaces) as refusal:
+        Config.from_flat(names)
+    assert refusal.value.parameters == ('landmarks.names', 'landmarks.positions')
+    assert refusal.value.waiting == ('landmarks.names has 3 entries, landmarks.positions has 0 '
+                                     'numbers; waiting for the other')
+    assert Config.from_flat(names | positions).landmarks.names == ['a', 'b', 'c']
 
 
 def test_converts_whole_numbers_to_the_declared_type() -> None:
