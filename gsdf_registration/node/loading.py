@@ -8,6 +8,7 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from gsdf_registration.common.config import Config
@@ -15,7 +16,10 @@ from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.field import Field
 from gsdf_registration.field.model import find_model, load_model
-from gsdf_registration.node.kernels import load_kernels
+from gsdf_registration.live.warm_pose import WarmPose
+from gsdf_registration.registration.kernels import compile_kernels
+from gsdf_registration.registration.pipeline import register
+from gsdf_registration.solver import solve
 
 
 def load(config: Config, log: RcutilsLogger,
@@ -36,12 +40,13 @@ def load(config: Config, log: RcutilsLogger,
         log.warning('no bone model: model.path is empty; points are collected nevertheless')
         return None
     _find(path)     # before a minute of compilation
-    with _no_collection():
-        load_kernels(show, log.warning)
+    with _no_collection(), _warnings_to(log):
+        compile_kernels(lambda share: show('compiling, once on this machine '
+                                           f'({100.0 * share:.0f} %); wait a moment'))
         log.info(f'loading {path}')
         show(f'loading {path}; wait a moment')
-        with _warnings_to(log):
-            field = _load(config)
+        field = _load(config)
+        _load_kernels(field, config)
     log.info(f'{path} is loaded')
     return field
 
@@ -63,6 +68,15 @@ def _load(config: Config) -> Field:
     except (MemoryError, OSError, RecursionError) as error:
         raise InputError(f'{shortened(model.path)} cannot be loaded: '
                          f'{error or type(error).__name__}', Reason.NO_MODEL) from None
+
+
+def _load_kernels(field: Field, config: Config) -> None:
+    """Run all kernels once, so that the first registration takes no longer than later ones."""
+    points = field.surface_points[::50].astype(np.float64)
+    short = config.replaced({'search.rotations': 1, 'search.places': 1, 'search.parts': 0})
+    register(points, field, short)
+    solution = solve(points, field, np.eye(4), config.solver)
+    WarmPose(points, field, solution, config).add(np.tile(points[0], (10, 1)))
 
 
 @contextmanager

@@ -9,7 +9,6 @@ from typing import Any
 
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from gsdf_registration.common.config import Config, settings
@@ -26,7 +25,7 @@ from gsdf_registration.node.model_reloader import ModelReloader
 from gsdf_registration.node.outputs import Outputs
 from gsdf_registration.node.parameters import ParameterWatch, declare_parameters
 from gsdf_registration.node.publishers import StatusPublisher
-from gsdf_registration.node.qos import OFFERED
+from gsdf_registration.node.qos import OFFERED, STEADY
 from gsdf_registration.node.services import Services
 from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.sim_clock import SimClock
@@ -71,8 +70,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self._initial_pose = InitialPoseInput(self)
         self._reloader = ModelReloader(self)
         self._hints = Hints(self, self.get_logger(), OFFERED)
-        # ROS time may stand still: without /clock, or after the end of a recording
-        self.create_timer(1.0, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(1.0, self._tick, clock=STEADY)
         self._parameter_watch = ParameterWatch(self, lambda: self.session.config,
                                                self._why_fixed, self._configure)
 
