@@ -29,7 +29,7 @@ from gsdf_registration.node.qos import OFFERED, STEADY
 from gsdf_registration.node.services import Services
 from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.sim_clock import SimClock
-from gsdf_registration.node.status import combined_status, sentence
+from gsdf_registration.node.status import combined_status, not_active, sentence
 from gsdf_registration.session import Session
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.session import restart_notice
@@ -269,6 +269,8 @@ class RegistrationNode(PreparedLifecycleNode):
     def _current_status(self) -> Status:
         """Return the status of session, live registration and node combined."""
         status, refusal = combined_status(self.session.status(), self._live_status), self.refusal()
+        if self.state != 'active':
+            status = not_active(status)
         problem = '' if self._inputs is None else self._inputs.problem
         return dataclasses.replace(
             status,

@@ -128,7 +128,7 @@ class Services:
         return self._node.session.collect(request.data)
 
     async def undo(self, _: Trigger.Request) -> Answer:
-        """Drop the last stroke; register again if the accepted registration used it."""
+        """Drop the last stroke; if the pose used it, register again or withdraw it."""
         return await self.drop(lambda session: session.undo())
 
     async def drop(self, drop: Callable[[Session], Answer]) -> Answer:

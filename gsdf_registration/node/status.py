@@ -10,8 +10,10 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.registration.stroke_report import interference_message
+from gsdf_registration.session.pose_changes import WithdrawnPose
 from gsdf_registration.session.status import Status
 from msg_adapters.ros import diagnostic_status
 
@@ -39,6 +41,15 @@ def combined_status(status: Status, live: LiveStatus) -> Status:
     return replace(status, message=sentence(
         status.message, interference_message(live.stroke_reports),
         '' if skip_live else live.message))
+
+
+def not_active(status: Status) -> Status:
+    """Return the status of a node that is not active: it publishes no pose."""
+    if status.pose_result is None:
+        return status
+    withdrawn = WithdrawnPose(Withdrawal.DEACTIVATED, '', status.session_id,
+                              status.registration_id, status.pose_frame_id)
+    return replace(status, state='idle', pose_result=None, withdrawn=withdrawn)
 
 
 def sentence(*parts: str) -> str:
