@@ -26,6 +26,7 @@ from gsdf_registration.common.result import Reason
 from gsdf_registration.common.settings_schema import default_value
 from gsdf_registration.node.parameters import parameter_type
 from gsdf_registration.node.services import Services
+from msg_adapters import results
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / 'docs/interface.md'
@@ -41,20 +42,40 @@ SUBSCRIBED = {
                        'transformed into its frame at their own stamp',
     '/tf': 'for points in a frame other than `probe.frame_id`, if that is set',
     '/tf_static': 'as `/tf`',
+    '~/initial_pose': 'approximate pose of the bone in the frame of the points, searched around '
+                      'first by `~/register` and by the live pose until a registration is accepted '
+                      'or the session is cleared; stamp and covariance are not used; in another '
+                      'frame, not finite or without a unit quaternion it is rejected, see '
+                      '`~/status`',
 }
 PUBLISHED = {
-    '~/bone_pose': 'the accepted registration',
+    '~/bone_pose': 'the accepted registration, stamped as the newest point used',
     '~/bone_pose_with_covariance': 'the same with its covariance (REP-103 order, m and rad)',
-    '~/live_pose': 'the current estimate, for every point once the estimate is reliable; its stamp '
-                   'is that of the newest point',
+    '~/live_pose': 'the current estimate, for every point once the estimate is reliable, stamped '
+                   'as the newest point used',
+    '~/result': 'the accepted registration with its accuracy, strokes and landmarks; `valid` '
+                'false: there is no pose, or it is withdrawn, with the reason',
+    '~/guidance': 'places to touch next, best first; none: no touch is proposed',
     '~/status': 'state, points kept and rejected by cause, reason, what to do next; on change',
     '/diagnostics': 'the same every second',
     '~/points': 'collected points in the bone frame: x y z residual weight stroke',
     '~/markers': 'the bone coloured by the expected error, the points by residual, the next place '
                  'to touch',
-    '/tf': 'frame of the points → `model.frame_id`, re-sent at `tf.rate`; never on `/tf_static`',
+    '/tf': 'frame of the points → `model.frame_id`, re-sent at `tf.rate`, stamped as it is sent; '
+           'never on `/tf_static`',
+}
+# Only with gsdf_registration_msgs
+TYPED_TOPICS = ('~/result', '~/guidance')
+TYPED_SERVICES = {
+    'typed/register': 'as `~/register`, from the initial pose of the request if it is used; '
+                      'answers with the result of this attempt',
+    'typed/verify': 'as `~/verify`; answers with the distance, the checkpoint and how far it moved',
+    'typed/capture_landmark': 'as `~/capture_landmark`; answers with the position, its spread and '
+                              'what remains',
+    'drop_stroke': 'drop any stroke, as `~/undo` drops the last',
 }
 STATUS = {
+    'stamp': 'time of the message on the clock of the node, s, as text with nine decimals',
     'state': '`no_model`, `idle`, `collecting`, `ready`, `solving`, `registered` or `refused`',
     'received': 'samples received',
     'kept': 'points kept',
@@ -64,6 +85,8 @@ STATUS = {
     'reason': 'of the last registration, see below; empty before',
     'rejected.*': 'samples rejected, by cause',
     'pose': '`none`, or `in` the frame of the accepted registration',
+    'withdrawn': 'why the last pose is withdrawn, see [pose_lifetime.md](pose_lifetime.md); empty '
+                 'if there was none',
     'used': 'points used by the accepted registration',
     'inliers': 'points among them that lie on the bone',
     'predicted_tre_m.*': 'expected error at each target, over the bone (`rms`) and its maximum '
@@ -110,27 +133,38 @@ def rows(operator: Operator, node: str) -> list[Row]:
     graph, name = operator.node, node.strip('/')
     operator.spin_until(lambda: (name, '/') in graph.get_node_names_and_namespaces()
                         and subscribed_and_published(operator, node)[0] >= SUBSCRIBED.keys()
-                        and subscribed_and_published(operator, node)[1] >= PUBLISHED.keys(),
+                        and subscribed_and_published(operator, node)[1] >= published_topics(),
                         'a topic in docs/interface.py is missing (is tf2_msgs installed?)')
     subscribed = dict(graph.get_subscriber_names_and_types_by_node(name, '/'))
     serving = dict(graph.get_service_names_and_types_by_node(name, '/'))
     published = dict(graph.get_publisher_names_and_types_by_node(name, '/'))
     table = []
     for topic in SUBSCRIBED:
-        if topic in subscribed:
-            profile = _profile(graph.get_subscriptions_info_by_topic(topic), name)
-            table.append(_row('sub', topic, subscribed[topic], _quality(profile),
-                              SUBSCRIBED[topic]))
-    for service, handler in vars(Services).items():
+        full = topic.replace('~', node)
+        if full in subscribed:
+            profile = _profile(graph.get_subscriptions_info_by_topic(full), name)
+            table.append(_row('sub', topic, subscribed[full], _quality(profile), SUBSCRIBED[topic]))
+    meanings = {name: _first_sentence(handler.__doc__) for name, handler in vars(Services).items()
+                if f'{node}/{name}' in serving}
+    for service, meaning in (meanings | TYPED_SERVICES).items():
         if f'{node}/{service}' in serving:
-            table.append(_row('srv', f'~/{service}', serving[f'{node}/{service}'], '',
-                              _first_sentence(handler.__doc__)))
+            table.append(_row('srv', f'~/{service}', serving[f'{node}/{service}'], '', meaning))
     for topic in PUBLISHED:
         full = topic.replace('~', node)
         if full in published:
             profile = _profile(graph.get_publishers_info_by_topic(full), name)
             table.append(_row('pub', topic, published[full], _quality(profile), PUBLISHED[topic]))
     return table
+
+
+def published_topics() -> set[str]:
+    """Return the topics that the node publishes in this installation."""
+    return PUBLISHED.keys() - (() if results.available() else TYPED_TOPICS)
+
+
+def untyped(text: str) -> str:
+    """Return a page without the rows of gsdf_registration_msgs."""
+    return '\n'.join(line for line in text.split('\n') if '| gsdf_registration_msgs/' not in line)
 
 
 def subscribed_and_published(operator: Operator, node: str) -> tuple[set[str], set[str]]:
@@ -164,6 +198,9 @@ def page(table: list[Row]) -> str:
         *(f'| {row.kind} | `{row.name}` | {row.type} | {row.quality} | {row.meaning} |'
           for row in table), '',
         'Latched: reliable, transient local, depth 1; late subscribers receive the last message.',
+        '', 'Topics and services of gsdf_registration_msgs exist if that package is installed. The '
+        'others stay the same without it. [pose_lifetime.md](pose_lifetime.md) says which of them '
+        'are published after which event, and which time each message carries.',
         '', '## Status', '',
         'The message of `~/status` is for people, the values are for programs:', '',
         '| value | meaning |', '|---|---|',

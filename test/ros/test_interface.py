@@ -11,6 +11,7 @@ import pytest
 from ros_support import ROOT, Client, NodeProcess, Tracker
 
 from gsdf_registration.common.result import Reason
+from msg_adapters import results
 
 sys.path.append(str(ROOT / 'docs'))
 import interface  # noqa: E402
@@ -27,12 +28,14 @@ def test_documents_are_up_to_date(start_node: StartNode) -> None:
         table = interface.rows(client, node.name)
         subscribed, published = interface.subscribed_and_published(client, node.name)
     assert subscribed == interface.SUBSCRIBED.keys()
-    assert published == interface.PUBLISHED.keys()
+    assert published == interface.published_topics()
     advice = 'run python docs/interface.py to update it'
-    assert interface.PAGE.read_text() == interface.page(table), advice
+    # without gsdf_registration_msgs its rows are not compared
+    shown = str if results.available() else interface.untyped
+    assert shown(interface.PAGE.read_text()) == interface.page(table), advice
     readme = interface.README.read_text()
     assert interface.BEGIN in readme
-    assert readme == interface.with_table(readme, table), advice
+    assert shown(readme) == interface.with_table(shown(readme), table), advice
 
 
 def test_describes_every_value_of_the_status(tracker: Tracker) -> None:

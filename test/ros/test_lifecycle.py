@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -76,7 +77,13 @@ def test_reports_a_model_that_cannot_be_loaded_and_accepts_another(
         client.status(state='idle')
 
 
-def test_collects_points_but_does_not_register_without_a_model(start_node: StartNode) -> None:
+def test_collects_points_but_does_not_register_without_a_model(
+        start_node: StartNode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # nor has it gsdf_registration_msgs: a package without messages stands before it
+    hidden = tmp_path / 'gsdf_registration_msgs'
+    hidden.mkdir()
+    (hidden / '__init__.py').touch()
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path))
     node = start_node('bare')
     with Client(node) as client:
         client.await_state('active')
@@ -87,3 +94,6 @@ def test_collects_points_but_does_not_register_without_a_model(start_node: Start
         answer = client.ask('register')
         assert not answer.success
         assert answer.message.startswith('no_model: ')
+        topics = {name for name, _ in client.node.get_topic_names_and_types()}
+        assert '/bare/status' in topics and not topics & {'/bare/result', '/bare/guidance'}
+        assert node.log.count('gsdf_registration_msgs is not installed') == 1

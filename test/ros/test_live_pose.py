@@ -89,6 +89,9 @@ def test_live_pose_agrees_with_a_registration(tracker: Tracker,
     tracker.assert_near_truth(live, np.eye(4))
     assert client.ask('register').success
     registered = client.receive(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
+    # both have the stamp of the newest point
+    client.spin_until(lambda: stamp_of(display.poses[-1]) == stamp_of(registered),
+                      'the stamps of the live and of the registered pose differ')
     apart = transform(inverse(live) @ pose_of(registered), tracker.truth.landmarks_model)
     np.testing.assert_allclose(apart, tracker.truth.landmarks_model, atol=5e-4)
     states = [values(status)['state'] for status in display.statuses]

@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.parameter import Parameter
 from ros_support import Client, NodeProcess, Tracker
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import exp, transform
 from msg_adapters import ros
 
@@ -57,8 +60,10 @@ def test_new_registration_replaces_the_pose_for_all_subscribers(
 def test_refused_registration_keeps_the_accepted_one(
         tracker: Tracker, shared_node: NodeProcess) -> None:
     register_at(tracker, STILL)
-    tracker.client.ask('clear')
+    few = Config().limits.min_points
+    assert tracker.client.set_parameters(Parameter('limits.min_points', value=10_000)) == ''
     answer = tracker.client.ask('register')
+    assert tracker.client.set_parameters(Parameter('limits.min_points', value=few)) == ''
     assert not answer.success
     assert answer.message.startswith('too_few_points: ')
     assert 'accepted registration is kept' in answer.message
@@ -66,6 +71,31 @@ def test_refused_registration_keeps_the_accepted_one(
     assert status['pose'] == 'in tracker'
     assert 'accepted registration is kept' in status['message']
     tracker.assert_near_truth(latched_pose(shared_node), STILL)
+
+
+def test_accepts_an_initial_pose_in_the_frame_of_the_points(tracker: Tracker,
+                                                            shared_node: NodeProcess) -> None:
+    client = tracker.client
+    publisher = client.node.create_publisher(PoseWithCovarianceStamped,
+                                             '/registration/initial_pose', 10)
+    client.spin_until(publisher.get_subscription_count, 'nothing subscribes to ~/initial_pose')
+    client.collect(True)
+    tracker.send(tracker.positions[:5])
+    client.status(frame_id='tracker')
+    near = tracker.truth.T_tracker_bone
+    guess = ros.pose_with_covariance_msg(near, np.zeros((6, 6)), 'map', Time())
+    publisher.publish(guess)
+    client.receive(DiagnosticStatus, '~/status', accept=lambda status: (
+        status.level == DiagnosticStatus.WARN
+        and 'the initial pose is rejected: it is in frame "map"' in status.message))
+    guess.pose.pose.orientation.w += 1.0
+    publisher.publish(guess)
+    client.receive(DiagnosticStatus, '~/status', accept=lambda status: (
+        status.level == DiagnosticStatus.WARN and 'unit length' in status.message))
+    publisher.publish(ros.pose_with_covariance_msg(near, np.zeros((6, 6)), 'tracker', Time()))
+    client.spin_until(lambda: 'the initial pose is the first guess' in shared_node.log,
+                      'the initial pose is not accepted')
+    client.node.destroy_publisher(publisher)
 
 
 def test_rejects_and_counts_points_in_another_frame(tracker: Tracker) -> None:
@@ -139,7 +169,9 @@ def test_reports_a_displaced_array_at_a_checkpoint(tracker: Tracker) -> None:
             answer = client.ask('verify')
         verdicts.append(answer.success)
     assert verdicts == [True, True, False]
-    assert answer.message.endswith('was the array displaced?')
+    assert answer.message.endswith('was the array displaced? The pose is withdrawn')
+    status = client.status(pose='none', withdrawn='array_displaced')
+    assert 'clear and collect again' in status['message']
     client.status(kept=str(int(before['kept']) + lifted),
                   rejected__touched=str(int(before['rejected.touched']) + sent))
 
@@ -164,10 +196,23 @@ def test_loads_a_session_that_another_node_saved(tracker: Tracker, shared_node: 
 
 
 def test_rejects_a_damaged_session(tracker: Tracker, shared_session: Path) -> None:
-    shared_session.write_text('{"schema": ')
-    answer = tracker.client.ask('load')
+    client = tracker.client
+    client.collect(True)
+    tracker.send(tracker.positions[:9], tracker.steps[:9])
+    kept = client.status(received='9')['kept']
+    client.collect(False)
+    answer = client.ask('save')
+    assert answer.success
+    assert answer.message.startswith(f'session with {kept} points saved to {shared_session}')
+    saved = shared_session.read_text()
+    shared_session.write_text(saved.replace('"stroke", "source"', '"source", "stroke"'))
+    answer = client.ask('load')
     assert not answer.success
-    assert 'damaged' in answer.message
+    assert 'is damaged: its content does not fit its checksum' in answer.message
+    shared_session.write_text('targets: {}')
+    assert 'is no session file, so it is not overwritten' in client.ask('save').message
+    assert shared_session.read_text() == 'targets: {}'
+    shared_session.unlink()
 
 
 @pytest.mark.usefixtures('many_points')

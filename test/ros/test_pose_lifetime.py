@@ -96,9 +96,8 @@ class Air:
             lambda: not [each for each in self.scenes[-1].markers
                          if each.ns == 'points' and each.action == Marker.ADD],
             f'{reason}: markers of points are shown')
-        if reason is not Withdrawal.DEACTIVATED:    # the status is that of the session
-            status = self.client.status(pose='none')
-            assert status['withdrawn'] == reason
+        status = self.client.status(pose='none')
+        assert status['withdrawn'] == reason and 'used' not in status
         # it joins while there is no pose, so its first message has to be the next one
         self.joiners.append([])
         self.client.node.create_subscription(PoseStamped, self._topic, self.joiners[-1].append,

@@ -11,6 +11,8 @@ from ros_support import Client, NodeProcess, Tracker
 from test_layouts import FOXGLOVE, LATCHED, rviz_topics
 from visualization_msgs.msg import Marker, MarkerArray
 
+from msg_adapters import results
+
 pytestmark = pytest.mark.ros
 STILL = np.eye(4)
 
@@ -60,7 +62,17 @@ def test_shows_the_place_that_disambiguates_the_pose(tracker: Tracker) -> None:
                                accept=lambda array: ('patch', 0) in marked(array)))
     assert shown['patch_label', 0].text == '1: disambiguates'
     assert ('patch', 1) not in shown
+    if results.available():
+        guidance = results.message_types().Guidance
+        guided = client.receive(guidance, '~/guidance', accept=lambda each: bool(each.points))
+        assert guided.sentence.startswith('touch the bone') and np.isnan(guided.predicted_tre[0])
+        place = shown['patch', 0].pose.position
+        assert positions(guided.points) == pytest.approx(positions([place]))
+        assert np.linalg.norm(positions(guided.normals)) == pytest.approx(1.0)
+        assert guided.header.frame_id == shown['patch', 0].header.frame_id
     assert client.ask('clear').success
+    if results.available():
+        client.receive(guidance, '~/guidance', accept=lambda each: not each.points)
     client.receive(MarkerArray, '~/markers', accept=lambda array: ('patch', 0) not in marked(array))
 
 

@@ -42,7 +42,7 @@ class Monitor:
                                  QoSProfile(depth=10_000))
 
     def _on_status(self, status: DiagnosticStatus) -> None:
-        self.statuses.append({**values(status), 'message': status.message})
+        self.statuses.append({**values(status), 'message': status.message, 'stamp': ''})
 
     def _on_pose(self, message: PoseWithCovarianceStamped) -> None:
         T = ros.pose_from(PoseStamped(header=message.header, pose=message.pose.pose))[1]
@@ -107,6 +107,8 @@ def test_complete_procedure(start_node: StartNode, parameters: dict[str, Any], t
         assert not answer.success and 'beyond the 2.0 mm' in answer.message
         answer = verify(tracker, transform(T, place) + [0.0, 0.0, 0.003])
         assert not answer.success and 'was the array displaced?' in answer.message
+        assert client.status(pose='none', withdrawn='array_displaced')['state'] != 'registered'
+        assert client.ask('register').success       # another place was touched
         assert client.ask('save').success
         before = client.status(state='registered')
         found = ros.pose_from(client.receive(PoseStamped, '~/bone_pose'))[1]
@@ -132,7 +134,7 @@ def test_complete_procedure(start_node: StartNode, parameters: dict[str, Any], t
         # pose and landmarks do not apply to another bone, and a registration on it is refused
         femur = str(BAG.parent / 'femur.ply')
         assert client.set_parameters(Parameter('model.path', value=femur)) == ''
-        client.status(pose='none', landmarks='0')
+        client.status(pose='none', landmarks='0', withdrawn='model_changed')
         answer = client.ask('register')
         assert not answer.success and 'kept' not in answer.message
         assert 'belongs to another bone' in client.ask('load').message
