@@ -19,6 +19,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.node.qos import POINTS
+from gsdf_registration.node.transforms import STATIC
 
 SILENCE = 5.0       # s without a point after which the status says so
 FAR = 10.0          # s between the stamps and the clock of the node
@@ -101,6 +102,14 @@ def input_hints(graph: Graph, config: Config, arrivals: Arrivals, waiting: bool)
     return hints + arrivals.hints()
 
 
+def frame_hints(graph: Graph) -> list[Hint]:
+    """Return the hints on static transforms that the node cannot receive."""
+    return [Hint(f'nothing is received on /tf_static from {_node_of(info)}: incompatible QoS: '
+                 f'{reason}')
+            for info in graph.get_publishers_info_by_topic('/tf_static')
+            if (reason := _incompatible(info.qos_profile, STATIC))]
+
+
 def output_hints(graph: Graph, offered: dict[str, QoSProfile]) -> list[Hint]:
     """Return the hints on subscriptions that cannot receive what the node offers by topic."""
     hints = []
@@ -153,6 +162,7 @@ class Hints:
         self._current = [*more, *name_hints(self._graph)]
         if arrivals is not None:
             self._current += input_hints(self._graph, config, arrivals, collecting)
+            self._current += frame_hints(self._graph)
             self._current += output_hints(self._graph, self._offered)
         for hint in self._current:
             if hint.sentence in before:
@@ -204,7 +214,9 @@ def _incompatible(offered: QoSProfile, requested: QoSProfile) -> str:
     compatibility, reason = qos_check_compatible(offered, requested)
     if compatibility != QoSCompatibility.ERROR:
         return ''
-    return ' '.join(str(reason).replace('ERROR: ', '').replace(';', ',').split()).rstrip(', ')
+    words = ', '.join(part.strip().removeprefix('ERROR: ') for part in str(reason).split(';')
+                      if part.strip())
+    return words[:1].lower() + words[1:]
 
 
 def type_name(kind: Any) -> str:

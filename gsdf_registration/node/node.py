@@ -335,3 +335,4 @@ class RegistrationNode(PreparedLifecycleNode):
             self._start_live()
         elif self._live is not None:
             self._live.notify()
+        self.publish_status_soon()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -74,3 +75,17 @@ def test_finds_a_package_uri_without_ros(monkeypatch: pytest.MonkeyPatch, tmp_pa
 def test_rejects_a_uri_without_a_file(uri: str) -> None:
     with pytest.raises(InputError, match='not installed or has no file'):
         find_model(uri)
+
+
+@pytest.mark.parametrize('path, sentence', [
+    ('x' * 300, 'File name too long'), ('x' * 5000, 'File name too long'),
+    ('~nosuchuser/x.ply', 'no such user'), ('nul\0.ply', 'does not exist'),
+    ('nowhere.ply', 'nowhere.ply does not exist'), ('{folder}', 'not a regular file'),
+    ('{folder}/fifo', 'not a regular file'), ('/dev/null', 'not a regular file'),
+    ('package://gsdf_registration/../secret.stl', 'a file inside its package'),
+    ('package://gsdf_registration//secret.stl', 'a file inside its package')])
+def test_rejects_what_is_no_regular_file(tmp_path: Path, path: str, sentence: str) -> None:
+    os.mkfifo(tmp_path / 'fifo')
+    with pytest.raises(InputError, match=sentence) as refusal:
+        find_model(path.format(folder=tmp_path))
+    assert len(refusal.value.message) < 300

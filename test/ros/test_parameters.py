@@ -64,8 +64,6 @@ def test_declares_and_describes_every_setting(client: Client) -> None:
     (Parameter('gate.max_speed'), 'gate.max_speed must be a finite number, not None'),
     (Parameter('limits.min_points', DOUBLE, 30.5), 'limits.min_points must be a whole number'),
     (Parameter('solver.method', STRING, 'magic'), 'solver.method must be one of mixture, paper'),
-    (NAMES, 'in one request'),
-    (POSITIONS, 'in one request'),
     (Parameter('probe.topics', STRINGS, ['no topic!']), '"no topic!" is not a valid topic name'),
     (Parameter('probe.topics', STRINGS, ['/a', '/a']), '/a occurs twice'),
     (Parameter('model.frame_id', STRING, 'other'), 'deactivate and cleanup'),
