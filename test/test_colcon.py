@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import pytest
 
+# of the ROS install, or of the wheels
+PREFIXES = os.environ.get('AMENT_PREFIX_PATH', sys.prefix)
 COLCON = [sys.executable, '-m', 'colcon', '--log-base', 'log']
 
 
@@ -33,10 +35,11 @@ class Workspace(NamedTuple):
 
     def run(self, *command: str) -> str:
         """Run a command in the workspace and return its output."""
+        paths = os.pathsep.join([str(self.source / 'test'), os.environ.get('PYTHONPATH', '')])
         done = subprocess.run(command, cwd=self.folder, text=True, stdout=subprocess.PIPE,
                               stderr=subprocess.STDOUT,
-                              env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix,
-                                   'PYTHONPATH': str(self.source / 'test')})
+                              env={**os.environ, 'AMENT_PREFIX_PATH': PREFIXES,
+                                   'PYTHONPATH': paths})
         assert done.returncode == 0, done.stdout
         return done.stdout
 

@@ -19,8 +19,9 @@ def run_pytest(*arguments: str, without: str = '') -> str:
     """Run pytest in a process in which a package cannot be imported; return its output."""
     code = (f'import sys; sys.modules.update(dict.fromkeys({without.split()!r}))\n'
             f'import pytest; sys.exit(pytest.main({list(arguments)!r}))')
+    paths = os.pathsep.join([str(TEST), os.environ.get('PYTHONPATH', '')])
     done = subprocess.run([sys.executable, '-c', code], cwd=TEST.parent, text=True,
-                          env={**os.environ, 'PYTHONPATH': str(TEST)},
+                          env={**os.environ, 'PYTHONPATH': paths},
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     assert done.returncode == 0, done.stdout
     return done.stdout
