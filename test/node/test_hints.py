@@ -7,16 +7,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-pytest.importorskip('rclpy')
-
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-
-from gsdf_registration.common.config import Config  # noqa: E402
-from gsdf_registration.node import hints  # noqa: E402
-from gsdf_registration.node.hints import Arrivals, Hint, Hints, input_hints  # noqa: E402
-from gsdf_registration.node.qos import OFFERED  # noqa: E402
-from gsdf_registration.node.transforms import STATIC  # noqa: E402
+from gsdf_registration.common.config import Config
+from gsdf_registration.node import hints
+from gsdf_registration.node.hints import Arrivals, Hint, Hints, input_hints
+from gsdf_registration.node.qos import OFFERED
+from gsdf_registration.node.transforms import STATIC
 
 POINT, POSE = 'geometry_msgs/msg/PointStamped', 'geometry_msgs/msg/PoseStamped'
 VOLATILE = QoSProfile(depth=5)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -22,9 +23,10 @@ from gsdf_registration.clients.operator import LATCHED
 from gsdf_registration.common.withdrawal import Withdrawal
 from msg_adapters import results, ros
 
-pytest.importorskip('tf2_msgs', reason='without it there is no /tf')
 pytestmark = [
     pytest.mark.ros,
+    pytest.mark.skipif(importlib.util.find_spec('tf2_msgs') is None,
+                       reason='tf2_msgs is not installed, and without it there is no /tf'),
     pytest.mark.skipif(not results.available(),
                        reason='gsdf_registration_msgs is not built, see tools/build_messages.py')]
 StartNode = Callable[..., NodeProcess]
