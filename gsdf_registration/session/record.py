@@ -154,10 +154,15 @@ def _packed(points: Points, residuals: Array, weights: Array) -> str:
 
 
 def _rows(points: Points, residuals: Array, weights: Array) -> list[list[Any]]:
-    return [[stroke, source, stamp, *position, *(known or (None, None))]
-            for stroke, source, stamp, position, known in zip(
-                points.strokes.tolist(), points.sources.tolist(), points.stamps.tolist(),
-                points.positions.tolist(), fit_of(residuals, weights))]
+    rows: list[list[Any]] = []
+    for first in range(0, len(residuals), PART):
+        part = slice(first, first + PART)
+        rows += ([stroke, source, stamp, *position, *(known or (None, None))]
+                 for stroke, source, stamp, position, known in zip(
+                     points.strokes[part].tolist(), points.sources[part].tolist(),
+                     points.stamps[part].tolist(), points.positions[part].tolist(),
+                     fit_of(residuals[part], weights[part])))
+    return rows
 
 
 def _columns(rows: list[list[Any]], sources: int) -> tuple[Points, Array, Array]:

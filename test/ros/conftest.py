@@ -9,7 +9,6 @@ tests are skipped, see `NEEDS` of ../conftest.py, and nothing here is used.
 from __future__ import annotations
 
 import importlib.util
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from msg_adapters.session_file import identity, read_session, write_session
 from msg_adapters.truth import read_truth
 
 if importlib.util.find_spec('rclpy') is not None:
@@ -87,13 +87,13 @@ def many_points(tracker: Tracker, shared_session: Path) -> Path:
     tracker.touch_landmarks(np.eye(4))
     tracker.drag(np.eye(4))
     assert tracker.client.ask('save').success
-    session = json.loads(shared_session.read_text())
+    session = read_session(shared_session)
     points = session['points']
     rows = 30_000 // len(points) * points
     noise = np.random.default_rng(0).normal(0.0, 2e-4, (len(rows), 3))
     session['points'] = [[*row[:3], *(row[3:6] + shift), None, None]
                          for row, shift in zip(rows, noise)]
-    shared_session.write_text(json.dumps(session))
+    write_session(shared_session, session, identity(shared_session))
     return shared_session
 
 
