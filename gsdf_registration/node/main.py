@@ -11,6 +11,8 @@ import threading
 import traceback
 from typing import TYPE_CHECKING, NoReturn
 
+from gsdf_registration.node.memory import limit_memory
+
 if TYPE_CHECKING:
     from rclpy.executors import Executor
 
@@ -31,6 +33,7 @@ def main(args: list[str] | None = None) -> NoReturn:
     arguments or parameters cannot be used.
 
     """
+    limit_memory()
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     spinner = _Spinner(args)
     spinner.start()

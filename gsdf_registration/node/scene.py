@@ -19,12 +19,14 @@ from gsdf_registration.field import Field
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
 from gsdf_registration.registration.confidence import predicted_tre
 from gsdf_registration.registration.guidance import PATCH
+from gsdf_registration.registration.point_selection import evenly_spread
 from gsdf_registration.visualization import colours
 from gsdf_registration.visualization.decimation import Faces, drawn_surface
 from msg_adapters import markers, ros
 from msg_adapters.marker_cdr import DELETE_ALL, Marker, to_bytes
 
 MAX_FACES = 12_000      # of the bone: at 120 bytes each, a message stays below 2 MB
+MAX_POINTS = 20_000     # drawn as markers, evenly spread over all; at 40 bytes each
 
 
 class ScenePublisher:
@@ -83,11 +85,13 @@ class ScenePublisher:
 
         """
         on_bone = transform(inverse(T_tracker_bone), positions)
+        shown = evenly_spread(np.arange(len(positions)), MAX_POINTS)
         vertices, faces = self._drawn_surface(field)
         error = predicted_tre(T_tracker_bone, covariance, vertices)
         self._publish(
             markers.bone(vertices, faces, colours.error_colours(error, limits))
-            + markers.points(on_bone, colours.residual_colours(residuals, weights, limits))
+            + markers.points(on_bone[shown], colours.residual_colours(
+                residuals[shown], weights[shown], limits))
             + self._patches(next_touches))
         self._publish_cloud(on_bone, residuals, weights, strokes)
 

@@ -29,6 +29,7 @@ from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field, build_field
 from gsdf_registration.field.sample import CELLS, FieldArrays
 from gsdf_registration.mesh.bone import make_bone
+from gsdf_registration.registration.point_selection import select_points
 from gsdf_registration.registration.pose_selection import select_pose
 from gsdf_registration.search.global_search import find_start_poses
 from gsdf_registration.solver import (
@@ -141,9 +142,10 @@ def make_bone_and_field(vertices: Array, faces: np.ndarray) -> Field:
 
 
 def _call_search() -> None:
-    """Call the kernels of the global search."""
+    """Call the kernels of the selection of points and of the global search."""
     short = Config().replaced({'search.rotations': 1, 'search.places': 1, 'search.parts': 0})
-    find_start_poses(_touched(), _body(), short.search)
+    points = _touched()
+    find_start_poses(points[select_points(points).rows], _body(), short.search)
 
 
 def _call_solver() -> None:

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -150,6 +150,8 @@ def solve_all(points: Array,
     """
     Return the local solution from each start, and more if the best one does not explain the points.
 
+    Only the first solution of the highest rank has values per point.
+
     Soft tissue may bias the best solution: then also solve from poses near it that fit a few
     patches. If no solution is consistent, also solve without annealing to the noise, which allows
     for errors of the model and the tracker.
@@ -175,24 +177,63 @@ def solve_all(points: Array,
             raise Cancelled
         return solve(points, field, start, config.solver, history, **options)
 
+    solutions = _Solutions()
     with ThreadPoolExecutor(config.search.threads or os.cpu_count() or 1) as pool:
-        solutions = list(pool.map(solve_from, starts))
+        solutions.add(pool.map(solve_from, starts))
         if config.solver.method == 'paper':
-            return solutions
+            return solutions.all
         for _ in range(CONSENSUS_ROUNDS):
-            best = max(solutions, key=lambda solution: solution.rank)
+            best = solutions.best
             neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
             if _explained_share(best, neighbours) > MOSTLY_EXPLAINED:
                 break
             poses = consensus(points, field, best.T_bone_tracker, neighbours, CONSENSUS_POSES)
-            found = list(pool.map(
-                partial(solve_from, neighbours=neighbours, local_sd=POSE_ERROR), poses))
-            solutions += found
-            if max(solution.rank for solution in found) < (best.consistent, best.score + 1.0):
+            highest = solutions.add(
+                pool.map(partial(solve_from, neighbours=neighbours, local_sd=POSE_ERROR), poses))
+            if highest < (best.consistent, best.score + 1.0):
                 break
-        if not max(solutions, key=lambda solution: solution.rank).consistent:
-            solutions += pool.map(partial(solve_from, anneal_to_noise=False), starts)
-    return solutions
+        if not solutions.best.consistent:
+            solutions.add(pool.map(partial(solve_from, anneal_to_noise=False), starts))
+    return solutions.all
+
+
+class _Solutions:
+    """
+    Solutions of the same points.
+
+    Only the best one keeps its values per point: of many points, hundreds of solutions would take
+    hundreds of megabytes.
+    """
+
+    def __init__(self) -> None:
+        self.all: list[Solution] = []
+        self._best = 0
+
+    @property
+    def best(self) -> Solution:
+        """The first of the solutions of the highest rank."""
+        return self.all[self._best]
+
+    def add(self, found: Iterable[Solution]) -> tuple[bool, float]:
+        """Add one or more solutions; return the highest rank among them."""
+        highest = (False, -np.inf)
+        for solution in found:
+            highest = max(highest, solution.rank)
+            if self.all and not solution.rank > self.best.rank:
+                self.all.append(_without_points(solution))
+                continue
+            if self.all:
+                self.all[self._best] = _without_points(self.best)
+            self._best = len(self.all)
+            self.all.append(solution)
+        return highest
+
+
+def _without_points(solution: Solution) -> Solution:
+    """Return the solution without its values per point."""
+    none = np.zeros(0)
+    return replace(solution, weights=none, residuals=none, precision=none, curvature=none,
+                   jacobian=np.zeros((0, 6)))
 
 
 def _explained_share(solution: Solution, neighbours: NDArray[np.int64]) -> float:

@@ -23,6 +23,7 @@ from gsdf_registration.mesh.bone import make_bone
 from gsdf_registration.registration.confidence import reassess
 from gsdf_registration.registration.kernels import compile_kernels, load_kernels
 from gsdf_registration.registration.pipeline import find_candidate
+from gsdf_registration.registration.point_selection import select_points
 from gsdf_registration.solver import Neighbourhood, refine
 
 ROOTS = ('common', 'field', 'mesh', 'search', 'solver')
@@ -48,6 +49,7 @@ def test_a_registration_needs_no_kernel_that_is_not_compiled_ahead(
     field = build_field(make_bone(*hip_surface, None), 0.003)
     assert field.faces.size
     points = transform(T_TRACKER_BONE, touched_points(500, 0, 3e-4))
+    points = points[select_points(points).rows]
     config = Config.from_flat({'search.rotations': 100, 'search.places': 10})
     candidate = find_candidate(points, bone_field(), config)
     neighbourhood = Neighbourhood(points, bone_field(), candidate.solution.T_bone_tracker)
