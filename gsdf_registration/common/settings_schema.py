@@ -68,7 +68,7 @@ def validate(name: str, value: Any, declared: dataclasses.Field[Any]) -> Any:
     if not _has_type(value, kind):
         wanted = {bool: 'a bool', str: 'a str', int: 'a whole number',
                   float: 'a finite number'}[kind]
-        raise InputError(f'{name} must be {wanted}, not {shortened(value)}')
+        raise InputError(f'{name} must be {wanted}, not {shown(value)}')
     low, high, unit, choices = (declared.metadata[key] for key in ('low', 'high', 'unit',
                                                                    'choices'))
     if low is not None and not low <= value <= high:
@@ -85,7 +85,7 @@ def _validate_list(name: str, value: Any) -> list[Any]:
     kind = float if name.endswith('positions') else str
     is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
     if not is_list or not all(_has_type(item, kind) for item in value):
-        raise InputError(f'{name} must be a list of {kind.__name__}, not {shortened(value)}')
+        raise InputError(f'{name} must be a list of {kind.__name__}, not {shown(value)}')
     return [kind(item) for item in value]
 
 
@@ -101,10 +101,14 @@ def _has_type(value: Any, kind: type) -> bool:
         return False
 
 
-def shortened(value: Any) -> str:
-    """Return a value for a message: text as it is, all else as Python writes it."""
-    try:
-        text = value if isinstance(value, str) else repr(value)
-    except (ValueError, RecursionError):    # a number of too many digits; lists nested too deeply
-        text = f'a {type(value).__name__} that is too long to show'
+def shortened(text: str) -> str:
+    """Return a text for a message."""
     return text if len(text) <= MAX_SHOWN else f'{text[:MAX_SHOWN]}...'
+
+
+def shown(value: Any) -> str:
+    """Return a value for a message, as Python writes it."""
+    try:
+        return shortened(repr(value))
+    except (ValueError, RecursionError):    # a number of too many digits; lists nested too deeply
+        return f'a value of type {type(value).__name__} that is too long to show'

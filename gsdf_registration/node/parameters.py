@@ -27,7 +27,7 @@ from gsdf_registration.common.parameter_file import (
     is_foreign,
 )
 from gsdf_registration.common.result import InputError
-from gsdf_registration.common.settings_schema import default_value, shortened
+from gsdf_registration.common.settings_schema import default_value, shortened, shown
 from gsdf_registration.node.naming import prefix_of
 from msg_adapters.session_file import session_path
 
@@ -144,7 +144,7 @@ class ParameterWatch:
         # not in a post-set callback, because this can fail; there is no other on-set callback
         self._change(config)
         self._held, self.waiting = held, waiting
-        changed = [f'{name} = {shortened(value)}' for name, value in values.items()
+        changed = [f'{name} = {shown(value)}' for name, value in values.items()
                    if value != before[name]]
         if changed:
             self._node.get_logger().debug(f'parameters set: {", ".join(changed)}')

@@ -92,17 +92,16 @@ def test_hints_at_faults_of_the_wiring(start_node: StartNode) -> None:
         client.await_state('active')
         assert 'ignored parameters that this program does not have: robot_name' in node.log
         assert 'listening on /probe/tip (geometry_msgs/PointStamped)' in node.log
-        tracker = Tracker(client, topics=['/probe/tip'])
-        tracker.await_listener()
-        tracker.send(tracker.positions[:30])
-        client.status(kept='30')
-
         wrong = client.node.create_publisher(PoseStamped, '/probe/tip', 1)
         client.spin_until(
             lambda: '/probe/tip is published as geometry_msgs/PoseStamped' in
             client.status()['message'], 'the wrong type is not reported')
         client.node.destroy_publisher(wrong)
 
+        tracker = Tracker(client, topics=['/probe/tip'])
+        tracker.await_listener()
+        tracker.send(tracker.positions[:30])
+        client.status(kept='30')
         client.set_parameters(Parameter('use_sim_time', Parameter.Type.BOOL, True))
         client.spin_until(lambda: 'use_sim_time was changed' in node.log, 'nothing is restarted')
         tracker._stamp = 5.0        # of the simulator
