@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.settings_schema import shortened
 
 METRES = {'mm': 0.001, 'm': 1.0}
 _KINDS = {stat.S_IFDIR: 'a directory', stat.S_IFLNK: 'a symbolic link', stat.S_IFIFO: 'a FIFO',
@@ -34,10 +35,10 @@ def absolute_path(path: str | os.PathLike[str]) -> Path:
             raise ValueError('a path contains no null byte')
         return Path(os.path.abspath(Path(path).expanduser()))
     except RuntimeError:
-        raise InputError(f'{path}: this user has no home directory; give an absolute '
-                         'path') from None
+        raise InputError(f'{shortened(str(path))}: this user has no home directory; give an '
+                         'absolute path') from None
     except (OSError, ValueError) as error:     # as when the current directory was deleted
-        raise InputError(f'{path}: {describe_error(error)}') from None
+        raise InputError(f'{shortened(str(path))}: {describe_error(error)}') from None
 
 
 def irregular(path: str | os.PathLike[str]) -> str:

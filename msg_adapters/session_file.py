@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import Any
 
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.settings_schema import shortened
 from msg_adapters.files import absolute_path, irregular, open_file, write_atomically
 
 SCHEMA = 'gsdf-session/3'
@@ -51,7 +52,8 @@ def session_path(path: str | os.PathLike[str]) -> Path:
     """Return the absolute path of a session file; `InputError` unless it can be the name of one."""
     found = absolute_path(path)
     if found.suffix != SUFFIX:
-        raise InputError(f'session.path {path}: the name of a session file ends with {SUFFIX}')
+        raise InputError(f'session.path {shortened(str(path))}: the name of a session file ends '
+                         f'with {SUFFIX}')
     if len(os.fsencode(found.name)) > MAX_NAME:
         raise InputError(f'session.path: the file name is longer than {MAX_NAME} bytes')
     return found

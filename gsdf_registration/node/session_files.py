@@ -12,6 +12,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from gsdf_registration.common.config import SessionConfig
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.session import Session
 from gsdf_registration.session.events import Replay
 from msg_adapters.session_file import MAX_SIZE, SessionFile, session_path
@@ -94,11 +95,12 @@ class SessionFiles:
                 pass
             session.listen(moved, from_start=True)
         except OSError as error:
-            raise InputError(f'session.path {config.path}: {path.parent} cannot be written: '
+            raise InputError(f'session.path {shortened(config.path)} cannot be written: '
                              f'{error.strerror}; {former.path} is kept') from None
         if moved.problem:
             session.stop_listening(moved)
-            raise InputError(f'session.path {config.path}: {moved.problem.partition(";")[0]}; '
+            raise InputError(f'session.path {shortened(config.path)}: '
+                             f'{moved.problem.partition(";")[0]}; '
                              f'{former.path} is kept')
         moved.on_failure = self._log.warning
         self._journal = moved
