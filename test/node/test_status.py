@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, RegistrationResult
@@ -34,6 +35,19 @@ def test_is_ready_once_the_points_suffice() -> None:
     combined = combined_status(status(notice='resumed'), READY)
     assert combined.state == 'ready'
     assert combined.message == 'enough points: register now; resumed'
+
+
+def test_warns_that_collecting_has_stopped_also_when_ready() -> None:
+    full = status(full=True, message='collecting has stopped')
+    combined = combined_status(full, READY)
+    assert combined.state == 'ready'
+    assert combined.message == 'collecting has stopped; enough points: register now'
+    for shown in (full, combined):
+        message = status_message(shown, READY, '/registration')
+        assert message.level == DiagnosticStatus.WARN
+        assert message.message.startswith('collecting has stopped')
+    registered = status(full=True, state='registered', pose_result=ACCEPTED)
+    assert status_message(registered, READY, '/registration').level == DiagnosticStatus.OK
 
 
 @pytest.mark.parametrize('state', ['no_model', 'solving', 'registered'])
