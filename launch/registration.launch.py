@@ -27,9 +27,9 @@ SWITCH = ['true', 'false', 'True', 'False']
 LEVELS = ['debug', 'info', 'warn', 'error', 'fatal']
 # the topics in config/registration.rviz
 SHOWN = ['markers', 'points', 'bone_pose_with_covariance', 'live_pose']
-# arguments that override a parameter if they are given: parameter and type
-OVERRIDES = {'model': ('model.path', str), 'session': ('session.path', str),
-             'autostart': ('autostart', bool), 'use_sim_time': ('use_sim_time', bool)}
+# the parameters that arguments override if they are given
+OVERRIDES = {'model': 'model.path', 'session': 'session.path', 'autostart': 'autostart',
+             'use_sim_time': 'use_sim_time'}
 
 
 def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
@@ -44,17 +44,17 @@ def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
     # They override a section of the parameter file for this node alone, too, because the namespace
     # of the node is set explicitly.
-    given = {parameter: ParameterValue(arguments[each], value_type=kind)
-             for each, (parameter, kind) in OVERRIDES.items() if arguments[each]}
+    given = {parameter: value_of(each, arguments[each])
+             for each, parameter in OVERRIDES.items() if arguments[each]}
     actions = [Node(
         package='gsdf_registration', executable='registration_node', name=arguments['node_name'],
         namespace=arguments['namespace'], parameters=[arguments['config'], *[given] * bool(given)],
         ros_arguments=['--log-level', f'{logger_of(node)}:={arguments["log_level"]}'],
         output='screen')]
-    if arguments['rviz'].lower() == 'true':
+    if is_true(arguments['rviz']):
         actions.append(rviz(node, arguments['namespace']))
     if arguments['bag']:
-        clock = ['--clock'] * (arguments['use_sim_time'].lower() == 'true')
+        clock = ['--clock'] * is_true(arguments['use_sim_time'])
         actions.append(ExecuteProcess(
             cmd=[sys.executable, '-m', 'gsdf_registration.clients.play_when_active', node,
                  'ros2', 'bag', 'play', arguments['bag'], '--rate', arguments['bag_rate'], *clock],
@@ -68,12 +68,24 @@ def check(arguments: dict[str, str]) -> None:
         raise RuntimeError(f'config:={arguments["config"]}: there is no such file')
     if arguments['bag'] and not Path(arguments['bag']).exists():
         raise RuntimeError(f'bag:={arguments["bag"]}: there is no such recording')
-    if arguments['rviz'].lower() == 'true':
+    if is_true(arguments['rviz']):
         try:
             get_package_prefix('rviz2')
         except PackageNotFoundError:
             raise RuntimeError('rviz:=true: rviz2 is not installed; install ros-jazzy-rviz2 or '
                                'launch without rviz:=true') from None
+
+
+def is_true(switch: str) -> bool:
+    """Return the value of an argument whose choices are `SWITCH`."""
+    return switch.lower() == 'true'
+
+
+def value_of(argument: str, given: str) -> bool | ParameterValue:
+    """Return the value of a parameter; a path that looks like a number stays a string."""
+    if argument in ('autostart', 'use_sim_time'):
+        return is_true(given)
+    return ParameterValue(given, value_type=str)
 
 
 def logger_of(node: str) -> str:

@@ -116,6 +116,9 @@ class Value:
     value: Any
     value_type: type = field(kw_only=True)
 
+    def __post_init__(self) -> None:
+        assert isinstance(self.value, self.value_type)      # only substitutions are converted
+
 
 def prefix_namespace(base_ns: str | None, ns: str | None) -> str | None:
     if ns is None or not base_ns or ns.startswith('/'):
@@ -215,8 +218,7 @@ def test_arguments_override_the_parameter_file(description: Description, tmp_pat
     # a name that looks like a number stays a string
     assert last == {'model.path': Value('12', value_type=str),
                     'session.path': Value('s.json', value_type=str),
-                    'autostart': Value('false', value_type=bool),
-                    'use_sim_time': Value('True', value_type=bool)}
+                    'autostart': False, 'use_sim_time': True}
 
 
 @pytest.mark.parametrize('pushed, given, name', [
