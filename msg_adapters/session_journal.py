@@ -12,7 +12,8 @@ Every event is passed to the operating system at once, so the death of the proce
 survive a power loss, use ``~/save``.
 
 The file is created with the first event that is worth keeping.  An existing file, and the file of a
-session that is cleared, is kept as ``.1``, and an earlier one as ``.2``.
+session that is cleared, is kept as ``.1``, and an earlier one as ``.2``.  If it cannot be renamed,
+the next session goes on in the same file.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ class SessionJournal:
         if event == 'session':
             self._begin(value)
         elif event == 'clear':
-            self._end()
+            self._end(_body('clear', value))
         elif event in PERSISTENT:
             self._persistent[event] = _body(event, value)
             if self._file is not None:
@@ -144,29 +145,48 @@ class SessionJournal:
 
     def _begin(self, session: dict[str, Any]) -> None:
         """Start a file with a whole session."""
-        if not self._renewing:
-            self._end()
-        self._close_file()
+        body = _body('session', session)
+        persistent = {'model': _body('model', session['model_sha256']),
+                      'collecting': _body('collecting', session['collecting'])}
+        if self._renewing:
+            self._close_file()
+        elif self._end(body):
+            self._persistent = persistent
+            return
         self._pending, self._rejected, self.problem = [], {}, ''
-        self._base = _body('session', session)
-        self._persistent = {'model': _body('model', session['model_sha256']),
-                            'collecting': _body('collecting', session['collecting'])}
+        self._base, self._persistent = body, persistent
         if any(session[key] for key in ('points', 'landmarks', 'verifications', 'pose_result')):
             self._create()
         elif self._outdated:
             self._set_aside()
 
-    def _end(self) -> None:
-        """Set the present file aside; the next one starts with the next event worth keeping."""
+    def _end(self, body: str) -> bool:
+        """
+        Set the present file aside; the next one starts with the next event worth keeping.
+
+        If the file cannot be renamed, as in a folder that has become read-only, write ``body``,
+        the event that ends the session, go on in the same file, and return True.
+        """
         self._outdated |= self._own is not None and self._own == _identity(self.path)
+        try:
+            if self._outdated:
+                self._set_aside()
+        except OSError:
+            if self._file is None:
+                raise
+            self._write_pending()
+            self._append([body])
+            self._outdated = False
+            return True
+        finally:
+            self._base, self._rejected, self._renewing = '', {}, False
         self._close_file()
-        self._base, self._pending, self._rejected, self.problem = '', [], {}, ''
-        self._own, self._renewing = None, False
-        if self._outdated:
-            self._set_aside()
+        self._pending, self._own, self.problem = [], None, ''
+        return False
 
     def _set_aside(self) -> None:
-        check_not_in_use(self.path)
+        if self._file is None:
+            check_not_in_use(self.path)
         set_aside(self.path)
         self._outdated = False
 

@@ -266,8 +266,13 @@ def test_a_journal_that_is_kept_replaces_no_link(path: Path, failures: list[str]
     first.symlink_to(path.with_name('none'))
     journal = SessionJournal(path, failures.append)
     send(journal, 3)
-    journal('clear', None)
-    assert first.is_symlink() and points(path) == 3
+    journal('clear', None)      # goes on in the same file
+    send(journal, 2)
+    journal.close()
+    assert first.is_symlink() and points(path) == 2 and failures == []
+    journal = SessionJournal(path, failures.append)     # of the next run
+    send(journal, 1)
+    assert first.is_symlink() and points(path) == 2
     assert f'{first.name} is a symbolic link' in journal.problem and len(failures) == 1
 
 
@@ -378,12 +383,33 @@ def test_a_journal_that_is_deleted_or_replaced_is_noticed_at_the_next_point(
     assert points(path.with_name(f'{path.name}.1')) == 4    # a file of unknown origin is kept
 
 
-def test_a_clear_that_cannot_set_the_journal_aside_is_made_up_for(
+@pytest.mark.parametrize('event, left', [('clear', 0), ('session', 3)])
+def test_a_new_session_in_a_read_only_folder_goes_on_in_the_same_file(
+        path: Path, monkeypatch: pytest.MonkeyPatch, event: str, left: int) -> None:
+    journal = SessionJournal(path, pytest.fail)
+    journal('source', 'tip')
+    send(journal, 5)
+    journal('rejected', {'stale': 2})
+    with monkeypatch.context() as patch:
+        patch.setattr(session_journal.os, 'replace', full_disk)
+        journal(event, None if event == 'clear' else SAVED)
+        journal('rejected', {'too_fast': 1})
+        send(journal, 2)
+        journal('collecting', False)
+    journal.close()
+    session, damage = session_of(path)
+    assert damage == '' and len(session['points']) == left + 2
+    assert session['rejected'] == {'too_fast': 1} and session['collecting'] is False
+    assert os.listdir(path.parent) == [path.name]
+
+
+def test_a_clear_that_cannot_be_written_is_made_up_for(
         path: Path, monkeypatch: pytest.MonkeyPatch, failures: list[str]) -> None:
     journal = SessionJournal(path, failures.append)
     send(journal, 5)
     with monkeypatch.context() as patch:
         patch.setattr(session_journal.os, 'replace', full_disk)
+        patch.setattr(session_journal.os, 'write', full_disk)
         journal('clear', None)
     assert len(failures) == 1 and points(path) == 5
     journal.renew()
