@@ -16,7 +16,7 @@ from msg_adapters import results, ros
 
 def main() -> None:
     rclpy.init()
-    node = rclpy.create_node('registration')
+    node = rclpy.create_node('result_server')
     header = results.ResultHeader(ros.seconds_to_stamp(12.25), 'tracker', 'hip', 'a1b2', 1)
     accepted = RegistrationResult(Reason.CONVERGED, 'registered', np.eye(4), np.eye(6),
                                   predicted_tre_m={'cup': 6e-4, 'rms': 5e-4, 'max': 9e-4})

@@ -151,8 +151,9 @@ def test_registers_again_after_an_undo(
     answer = client.ask('undo')
     assert answer.success
     assert 'registered again without it: the bone moved by 0.' in answer.message
+    # the newest point that it uses is an earlier one
     client.receive(PoseStamped, '~/bone_pose',
-                   accept=lambda pose: stamp_of(pose) > stamp_of(before))
+                   accept=lambda pose: stamp_of(pose) < stamp_of(before))
     client.status(state='registered')
 
 

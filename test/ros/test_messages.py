@@ -23,7 +23,7 @@ pytestmark = [
 def client() -> Iterator[Operator]:
     server = subprocess.Popen([sys.executable, str(Path(__file__).with_name('result_server.py'))],
                               cwd=Path(__file__).parents[2])
-    with Operator(alive=lambda: server.poll() is None, patience=30.0) as operator:
+    with Operator('/result_server', alive=lambda: server.poll() is None, patience=30.0) as operator:
         yield operator
     server.kill()
     server.wait()
