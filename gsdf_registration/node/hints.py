@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.duration import Duration
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -23,6 +24,7 @@ from gsdf_registration.node.transforms import STATIC
 
 SILENCE = 5.0       # s without a point after which the status says so
 FAR = 10.0          # s between the stamps and the clock of the node
+ENDLESS = 10**18    # ns
 
 
 @dataclass(frozen=True)
@@ -75,12 +77,15 @@ class Arrivals:
         return time.monotonic() - self._last
 
     def hints(self) -> list[Hint]:
-        """Return one hint for each topic whose stamps are far from the clock of the node."""
-        return [Hint(f'the stamps on {topic} are {_duration(abs(behind))} '
-                     f'{"behind" if behind > 0.0 else "ahead of"} the clock of this node: '
+        """Return a hint for the topics whose stamps are far from the clock of the node."""
+        topics: dict[str, list[str]] = {}
+        for topic, behind in self._behind.items():
+            if abs(behind) > FAR:
+                side = 'behind' if behind > 0.0 else 'ahead of'
+                topics.setdefault(f'{_duration(abs(behind))} {side}', []).append(topic)
+        return [Hint(f'the stamps on {", ".join(names)} are {where} the clock of this node: '
                      'synchronize the clocks of the computers, or set use_sim_time for a recording',
-                     warning=False)
-                for topic, behind in self._behind.items() if abs(behind) > FAR]
+                     warning=False) for where, names in topics.items()]
 
 
 def input_hints(graph: Graph, config: Config, arrivals: Arrivals, waiting: bool) -> list[Hint]:
@@ -211,12 +216,19 @@ def _silence(probes: Sequence[str], published: bool) -> Hint:
 
 def _incompatible(offered: QoSProfile, requested: QoSProfile) -> str:
     """Return why a subscription receives nothing from a publisher; empty if it does."""
-    compatibility, reason = qos_check_compatible(offered, requested)
+    compatibility, reason = qos_check_compatible(_decisive(offered), _decisive(requested))
     if compatibility != QoSCompatibility.ERROR:
         return ''
     words = ', '.join(part.strip().removeprefix('ERROR: ') for part in str(reason).split(';')
                       if part.strip())
     return words[:1].lower() + words[1:]
+
+
+def _decisive(qos: QoSProfile) -> QoSProfile:
+    """Return what decides; the graph reports an endless deadline as 292 years, not as none."""
+    endless = qos.deadline.nanoseconds > ENDLESS
+    return QoSProfile(depth=1, reliability=qos.reliability, durability=qos.durability,
+                      deadline=Duration() if endless else qos.deadline)
 
 
 def type_name(kind: Any) -> str:

@@ -50,10 +50,14 @@ class Inputs:
         self._delay = 0.0       # s that the last pose or transform waited in the queue
         self._transforms: transforms.Transforms | None = None
         self._subscriptions: list[Subscription] = []
-        for topic in config.probe.topics:
-            self._subscribe(PointStamped, topic, partial(self._on_point, topic))
-        if config.reference.topic:
-            self._subscribe(PoseStamped, config.reference.topic, self._on_pose)
+        try:
+            for topic in config.probe.topics:
+                self._subscribe(PointStamped, topic, partial(self._on_point, topic))
+            if config.reference.topic:
+                self._subscribe(PoseStamped, config.reference.topic, self._on_pose)
+        except Exception:
+            self._unsubscribe()
+            raise
         self._timer: Timer | None = None
         back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-BACK),
                              on_clock_change=True)
@@ -109,10 +113,13 @@ class Inputs:
         """Remove subscriptions, timer and clock callback."""
         self._jumps.unregister()
         self._stop_timer()
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        self._unsubscribe()
         if self._transforms is not None:
             self._transforms.destroy()
+
+    def _unsubscribe(self) -> None:
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
 
     def _stop_timer(self) -> None:
         if self._timer is not None:

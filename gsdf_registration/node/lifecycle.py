@@ -20,6 +20,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from gsdf_registration.common.result import InputError
 
+RCLError = _rclpy.RCLError
 SUCCESS = TransitionCallbackReturn.SUCCESS
 NodeType = TypeVar('NodeType', bound='PreparedLifecycleNode')
 TransitionCallback = Callable[[NodeType, LifecycleState], TransitionCallbackReturn]
@@ -109,7 +110,7 @@ class PreparedLifecycleNode(LifecycleNode):
                 response.success = await self._configure_when_prepared()
             else:
                 response = self._change_state_now(request, response)
-        except _rclpy.RCLError:     # would end a bare rclpy node
+        except RCLError:     # would end a bare rclpy node
             self.get_logger().error(f'transition {wanted.label or wanted.id} is not possible: the '
                                     f'node is {self.state}')
         return response

@@ -19,7 +19,7 @@ from gsdf_registration.live.worker import LiveWorker
 from gsdf_registration.node.hints import Hint, Hints
 from gsdf_registration.node.initial_pose import InitialPoseInput
 from gsdf_registration.node.inputs import Inputs
-from gsdf_registration.node.lifecycle import PreparedLifecycleNode, transition
+from gsdf_registration.node.lifecycle import PreparedLifecycleNode, RCLError, transition
 from gsdf_registration.node.loading import load
 from gsdf_registration.node.model_reloader import ModelReloader
 from gsdf_registration.node.outputs import Outputs
@@ -77,7 +77,9 @@ class RegistrationNode(PreparedLifecycleNode):
     async def start(self) -> None:
         """Become active if ``autostart``; after a failure ``~/status`` says why."""
         if self._autostart and await self.change_state(Transition.TRANSITION_CONFIGURE):
-            await self.change_state(Transition.TRANSITION_ACTIVATE)
+            assert self.executor is not None    # it runs this task
+            # a task of its own: other callbacks run in between
+            self.executor.create_task(self.change_state, Transition.TRANSITION_ACTIVATE)
         self.publish_status()
 
     def finish(self, timeout: float) -> bool:
@@ -145,6 +147,7 @@ class RegistrationNode(PreparedLifecycleNode):
             self._inputs.active = False
         self._stop_live()
         self.session.collect(False)
+        self._renew_hints()
         if self._outputs is not None:
             self._outputs.withdraw(self.session)
         return super().on_deactivate(state)
@@ -179,6 +182,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self._inputs, self._outputs, self.field = None, None, None
         self.files.close()
         self.session = Session(self.session.config)
+        self._renew_hints()
 
     def refusal(self) -> str:
         """Return why requests are refused now; empty while the node is active."""
@@ -284,12 +288,7 @@ class RegistrationNode(PreparedLifecycleNode):
     def _tick(self) -> None:
         if self.state in ('active', 'inactive'):
             self.files.check()
-        arrivals = (self._inputs.arrivals
-                    if self._inputs is not None and self.state == 'active' else None)
-        self._hints.renew(self.session.config, arrivals, self.session.collecting,
-                          [Hint(problem) for problem in (
-                              self._sim_clock.problem,
-                              '' if self._outputs is None else self._outputs.problem) if problem])
+        self._renew_hints()
         status = self._current_status()
         self._status.publish_diagnostics(status, self._live_status)
         causes = {cause: count for cause, count in status.rejected.items()
@@ -299,6 +298,14 @@ class RegistrationNode(PreparedLifecycleNode):
             counts = ', '.join(f'{count} {cause}' for cause, count in causes.items())
             self.get_logger().info(f'points rejected so far: {counts}',
                                    throttle_duration_sec=10.0)
+
+    def _renew_hints(self) -> None:
+        arrivals = (self._inputs.arrivals
+                    if self._inputs is not None and self.state == 'active' else None)
+        self._hints.renew(self.session.config, arrivals, self.session.collecting,
+                          [Hint(problem) for problem in (
+                              self._sim_clock.problem,
+                              '' if self._outputs is None else self._outputs.problem) if problem])
 
     def _why_fixed(self, name: str) -> str:
         if self.state == 'configuring' and name.startswith(('model.', 'session.')):
@@ -314,21 +321,27 @@ class RegistrationNode(PreparedLifecycleNode):
         reload_needed = self._reloader.reload_needed(config)
         if reload_needed:
             config = self._reloader.keep_places(config)
-        self.files.move(config.session)
+        inputs = self._inputs_for(config, before)
         try:
-            self.session.configure(config)
+            self.files.move(config.session)
+            try:
+                self.session.configure(config)
+            except InputError:
+                self.files.move(before.session)
+                raise
         except InputError:
-            self.files.move(before.session)
+            if inputs is not None and inputs is not self._inputs:
+                inputs.destroy()
             raise
         if reload_needed:
             self._reloader.start()
-        if self._inputs is not None:
-            if config.probe.topics != before.probe.topics:
+        if self._inputs is not None and inputs is not None:
+            if inputs is not self._inputs:
                 self._inputs.destroy()
-                self._inputs = Inputs(self, config, self.session)
+                self._inputs = inputs
                 if self.state == 'active':
-                    self._inputs.activate()
-            self._inputs.configure(config)
+                    inputs.activate()
+            inputs.configure(config)
         if self._outputs is not None and config.tf.rate != before.tf.rate:
             self._outputs.set_tf_rate(config.tf.rate)
         if config.live.enabled != before.live.enabled and self.state == 'active':
@@ -336,3 +349,13 @@ class RegistrationNode(PreparedLifecycleNode):
         elif self._live is not None:
             self._live.notify()
         self.publish_status_soon()
+
+    def _inputs_for(self, config: Config, before: Config) -> Inputs | None:
+        """Return subscriptions to the topics of ``config``; raise `InputError` if they fail."""
+        if self._inputs is None or config.probe.topics == before.probe.topics:
+            return self._inputs
+        try:
+            return Inputs(self, config, self.session)
+        except RCLError as error:       # such as a topic of another type in this process
+            raise InputError(f'probe.topics: {error}; {", ".join(before.probe.topics)} is kept'
+                             ) from None

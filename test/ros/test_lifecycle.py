@@ -51,6 +51,8 @@ def test_goes_through_all_states_for_a_lifecycle_manager(start_node: StartNode,
         assert client.change(Transition.TRANSITION_CONFIGURE)
         assert client.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
         assert client.state() == 'finalized'
+        assert client.ask('register').message == ('the node is finalized, which is final; start it '
+                                                  'again')
     node.process.send_signal(signal.SIGTERM)
     assert node.process.wait(timeout=2.0) == 0
 
@@ -97,3 +99,35 @@ def test_collects_points_but_does_not_register_without_a_model(
         topics = {name for name, _ in client.node.get_topic_names_and_types()}
         assert '/bare/status' in topics and not topics & {'/bare/result', '/bare/guidance'}
         assert node.log.count('gsdf_registration_msgs is not installed') == 1
+
+
+def test_answers_while_kernels_compile(start_node: StartNode, parameters: dict[str, Any],
+                                       tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels = tmp_path / 'kernels'
+    kernels.mkdir()
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(kernels))
+    node = start_node('compiling', **parameters)
+    with Client(node) as client:
+        client.spin_until(
+            lambda: 'compiling, once on this machine (' in client.ask('register').message,
+            'no progress is reported')
+        assert client.state() == 'configuring'
+        assert not client.change(Transition.TRANSITION_CONFIGURE)
+        unit = Parameter('model.unit', Parameter.Type.STRING, 'm')
+        assert 'a bone is being loaded' in client.set_parameters(unit)
+        assert client.set_parameters(Parameter('gate.max_gap', Parameter.Type.DOUBLE, 0.4)) == ''
+        assert 'compiling' in client.status()['message']
+        node.process.send_signal(signal.SIGTERM)
+        assert node.process.wait(timeout=2.0) == 0
+
+        def compilers() -> list[Path]:
+            return [file for file in Path('/proc').glob('[0-9]*/environ')
+                    if str(kernels).encode() in _content(file)]
+        client.spin_until(lambda: not compilers(), 'the compilation goes on without the node')
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError:     # of another user, or the process has ended
+        return b''
