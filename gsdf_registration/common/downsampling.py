@@ -2,7 +2,7 @@
 """
 Downsample a point cloud.
 
-The selected points depend neither on the order of the points nor on a rigid motion of all of them.
+The selected points do not depend on a rigid motion of all of them.
 """
 
 from __future__ import annotations
@@ -90,3 +90,75 @@ def principal_frame(points: Array) -> Array:
     axes *= np.where((((points - centroid) @ axes.T) ** 3).sum(axis=0) < 0.0, -1.0, 1.0)[:, None]
     axes[2] = np.cross(axes[0], axes[1])
     return from_rt(axes, -axes @ centroid)
+
+
+def limit_density(points: Array, radius: float, most: int) -> NDArray[np.intp]:
+    """
+    Return the indices of the points with fewer than ``most`` earlier ones within ``radius``.
+
+    Only the points that are kept count as earlier ones. Where the density is low, all are kept.
+
+    Parameters
+    ----------
+    points : (n, 3) float, metres, finite
+    radius : float, metres
+    most : int
+
+    """
+    cells, cell = np.unique(np.floor(points / radius), axis=0, return_inverse=True)
+    kept = np.zeros(len(points), dtype=np.bool_)
+    _limit_density(np.ascontiguousarray(points, dtype=np.float64), cells, cell.ravel(), radius,
+                   most, kept)
+    return np.flatnonzero(kept)
+
+
+@compiled
+def _limit_density(points: Array, cells: Array, cell: NDArray[np.int64], radius: float, most: int,
+                   kept: NDArray[np.bool_]) -> None:
+    """Fill ``kept`` (n,); ``cells`` (m, 3) are sorted, ``cell`` (n,) is that of each point."""
+    around = np.full((len(cells), 27), -1)
+    count = np.zeros(len(cells), np.int64)
+    for k in range(len(points)):
+        count[cell[k]] += 1
+    crowded = np.zeros(len(cells), np.bool_)
+    for c in range(len(cells)):
+        total = 0
+        for j in range(27):
+            x, y, z = j // 9 - 1, j // 3 % 3 - 1, j % 3 - 1
+            around[c, j] = _find_cell(cells, cells[c, 0] + x, cells[c, 1] + y, cells[c, 2] + z)
+            if around[c, j] >= 0:
+                total += count[around[c, j]]
+        crowded[c] = total > most
+    # the points kept of each cell, a linked list from the last to the first
+    last, before = np.full(len(cells), -1), np.full(len(points), -1)
+    for k in range(len(points)):
+        near = 0
+        if crowded[cell[k]]:
+            for j in range(27):
+                c = around[cell[k], j]
+                other = last[c] if c >= 0 else -1
+                while other >= 0 and near < most:
+                    squared = 0.0
+                    for i in range(3):
+                        squared += (points[k, i] - points[other, i]) ** 2
+                    near += squared < radius * radius
+                    other = before[other]
+        if near < most:
+            kept[k] = True
+            before[k] = last[cell[k]]
+            last[cell[k]] = k
+
+
+@compiled
+def _find_cell(cells: Array, x: float, y: float, z: float) -> int:
+    """Return the row of (x, y, z) in the sorted ``cells`` (m, 3) by bisection, or -1."""
+    low, high = 0, len(cells)
+    while low < high:
+        middle = (low + high) // 2
+        a, b, c = cells[middle, 0], cells[middle, 1], cells[middle, 2]
+        if a < x or (a == x and (b < y or (b == y and c < z))):
+            low = middle + 1
+        else:
+            high = middle
+    found = low < len(cells) and cells[low, 0] == x and cells[low, 1] == y and cells[low, 2] == z
+    return low if found else -1

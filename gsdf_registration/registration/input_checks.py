@@ -13,7 +13,7 @@ from gsdf_registration.common.result import InputError, Reason, Refusal, as_numb
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.landmarks import pose_from_landmarks
-from gsdf_registration.registration.point_selection import MAX_POINTS, evenly_thinned
+from gsdf_registration.registration.point_selection import without_clumps
 
 # The extent of the points over that of the bone: outside this range the unit is wrong, by a factor
 # of a thousand, even if the whole bone is exposed
@@ -25,7 +25,7 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
     Check the points (n, 3), metres, tracker frame.
 
     Their extent is measured between the 5th and the 95th percentile, as there may be outliers, and
-    of many points without most of those of a stationary tip.
+    without most points of a stationary tip.
 
     Raises
     ------
@@ -45,7 +45,9 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
             Reason.TOO_FEW_POINTS,
             f'too few points: {len(points)}, {limits.min_points} are needed; '
             'drag the probe over more of the bone')
-    spread = points[evenly_thinned(points, MAX_POINTS, MAX_POINTS)]
+    spread = points[without_clumps(points)]
+    if len(spread) < limits.min_points:     # they are all in one place
+        spread = points
     extent = float(np.ptp(np.percentile(spread, [5.0, 95.0], axis=0), axis=0).max())
     plausible = MIN_EXTENT_RATIO * field.extent < extent < MAX_EXTENT_RATIO * field.extent
     if extent > 0.0 and not plausible:

@@ -2,10 +2,12 @@
 """
 Select the points that a pose is computed from.
 
+The points of a stationary tip are one piece of evidence, however many they are. So the number of
+points in a small ball is limited.
+
 Above some thousands, more points on the same surface hardly improve the pose, but each takes time
 and memory. At most a fixed number is used then, spread evenly over all points in the order they
-were collected, so that every stroke and every kind of outlier keeps its share. Only places where
-the tip rested, which collect thousands of points, are limited to a small share.
+were collected, so that every stroke and every kind of outlier keeps its share.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gsdf_registration.common.point_filters import RADIUS, first_duplicate, on_strokes
+from gsdf_registration.common.downsampling import limit_density, voxel_downsample
+from gsdf_registration.common.point_filters import first_duplicate, on_strokes
 from gsdf_registration.common.result import INLIER_WEIGHT
 from gsdf_registration.common.rigid import Array, rms
 
@@ -27,11 +30,11 @@ Indices = NDArray[np.int64]
 MAX_POINTS = 10_000
 # The filter of isolated points checks at most this many times the maximum number of points
 CHECKED = 4
-# A cube with edges of `RADIUS` contains at most one in this many of the points used. A stroke
-# crosses hundreds of them.
-CUBE_SHARE = 40
+# At most this many points are used within this radius, m. A stroke has some three there, a tip at
+# rest hundreds, which share one error: of the tissue under the tip, or of the model.
+CLUMP_RADIUS, CLUMP_POINTS = 5e-4, 8
+PLACES = 1000       # at which the usual number is counted
 OUTLYING = 5.0      # times the RMS residual of the points on the bone
-CUBES = 2**16       # along each axis, to either side of the median; others join the last ones
 
 
 @dataclass(frozen=True)
@@ -78,26 +81,28 @@ def select_points(points: Array, limit: int = MAX_POINTS) -> PointSelection:
     limit : int
 
     """
-    checked = evenly_thinned(points, limit, CHECKED * limit)
+    spaced = without_clumps(points)
+    checked = evenly_spread(spaced, CHECKED * limit)
     seen = points[checked]
     dense = on_strokes(seen)
     first = first_duplicate(seen) == np.arange(len(seen))
     rows = checked[dense & first]
     return PointSelection(
-        len(points), rows[evenly_thinned(points[rows], limit, limit)], int((~dense).sum()),
-        int((dense & ~first).sum()), len(rows) * len(points) // max(len(checked), 1))
+        len(points), evenly_spread(rows, limit), int((~dense).sum()), int((dense & ~first).sum()),
+        len(rows) * len(spaced) // max(len(checked), 1))
 
 
-def evenly_thinned(points: Array, limit: int, count: int) -> Indices:
+def without_clumps(points: Array) -> Indices:
     """
-    Return the rows of ``points`` (n, 3), or of ``count`` of them, evenly spread.
+    Return the rows of ``points`` (n, 3) without most of those of a stationary tip.
 
-    No cube then contains more than its share of ``limit`` points. With at most ``limit`` points,
-    all are returned.
+    The faster the tracker, the more points are in a ball of `CLUMP_RADIUS` on a stroke. As many as
+    in the densest tenth of all places may stay: a fixed number would favour the points of fast
+    motion, through the air, over those of strokes.
     """
-    if len(points) <= limit:
-        return np.arange(len(points))
-    return evenly_spread(_without_clumps(points, max(limit // CUBE_SHARE, 1), count), count)
+    places = evenly_spread(voxel_downsample(points, 2.0 * CLUMP_RADIUS), PLACES)
+    count = cKDTree(points).query_ball_point(points[places], CLUMP_RADIUS, return_length=True)
+    return limit_density(points, CLUMP_RADIUS, max(CLUMP_POINTS, int(np.quantile(count, 0.9))))
 
 
 def evenly_spread(rows: Indices, limit: int) -> Indices:
@@ -105,39 +110,6 @@ def evenly_spread(rows: Indices, limit: int) -> Indices:
     if len(rows) <= limit:
         return rows
     return np.asarray(rows[np.linspace(0, len(rows) - 1, limit).astype(np.int64)])
-
-
-def _without_clumps(points: Array, share: int, count: int) -> Indices:
-    """
-    Return the rows of ``points`` (n, 3) without most of those of a stationary tip.
-
-    When they are thinned to ``count`` points, no cube contains more than ``share`` of them.
-    """
-    cell = np.floor((points - np.median(points, axis=0)) / RADIUS)
-    cell = np.clip(cell, -CUBES, CUBES - 1.0).astype(np.int64) + CUBES
-    key = (cell[:, 0] * 2 * CUBES + cell[:, 1]) * 2 * CUBES + cell[:, 2]
-    _, cube, counts = np.unique(key, return_inverse=True, return_counts=True)
-    most = _points_per_cube(counts, share, count)
-    if most >= counts.max():
-        return np.arange(len(points))
-    order = np.argsort(cube, kind='stable')
-    size = counts[cube[order]]
-    rank = np.arange(len(points)) - (np.cumsum(counts) - counts)[cube[order]]
-    # of a cube with more, every point at which the number to keep so far increases
-    kept = (size <= most) | (rank * most // size != (rank - 1) * most // size)
-    return np.sort(order[kept])
-
-
-def _points_per_cube(counts: NDArray[np.int64], share: int, count: int) -> int:
-    """Return how many points a cube may contain, of which contain ``counts`` (m,) now."""
-    most = int(counts.max())
-    while True:
-        # of so many, `share` are left when all that remain are thinned to `count`
-        remaining = int(np.minimum(counts, most).sum())
-        fewer = max(share, share * remaining // count)
-        if fewer >= most:
-            return most
-        most = fewer
 
 
 def weights_of_all(points: Array, rows: Indices, weights: Array, residuals: Array) -> Array:

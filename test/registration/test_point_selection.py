@@ -14,7 +14,8 @@ from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.registration.pipeline import register
 from gsdf_registration.registration.point_selection import (
     CHECKED,
-    CUBE_SHARE,
+    CLUMP_POINTS,
+    CLUMP_RADIUS,
     MAX_POINTS,
     PointSelection,
     select_points,
@@ -67,12 +68,21 @@ def test_points_are_spread_over_the_whole_recording() -> None:
     assert np.diff(rows).max() < 200
 
 
-def test_a_stationary_tip_does_not_displace_the_strokes() -> None:
-    strokes, resting = plane(900, 0.05), plane(1) + 2e-4 * RNG.normal(size=(150_000, 3))
-    selection = select_points(np.concatenate([strokes, resting]), 2000)
+@pytest.mark.parametrize('resting', [560, 150_000])
+def test_a_stationary_tip_does_not_displace_the_strokes(resting: int) -> None:
+    strokes, clump = plane(900, 0.05), plane(1) + 2e-4 * RNG.normal(size=(resting, 3))
+    selection = select_points(np.concatenate([strokes, clump]), 2000)
     assert (selection.rows < 900).sum() > 850
-    assert (selection.rows >= 900).sum() <= 8 * 2000 // CUBE_SHARE
-    assert counted(selection) == 150_900
+    assert (selection.rows >= 900).sum() < 200
+    assert counted(selection) == 900 + resting
+
+
+def test_every_point_of_a_stroke_is_used() -> None:
+    x = np.arange(0.0, 0.05, 3e-4)
+    stroke = np.column_stack([x, np.zeros_like(x), np.zeros_like(x)])
+    crossing = stroke[:, [1, 0, 2]] + [0.02, -0.02, 0.0]
+    assert len(select_points(np.concatenate([stroke, crossing])).rows) == 2 * len(x)
+    assert CLUMP_POINTS > 2.0 * CLUMP_RADIUS / 3e-4 + 1.0
 
 
 def test_a_distant_outlier_does_not_change_the_selection_of_the_others() -> None:
@@ -110,3 +120,18 @@ def test_registers_many_points_with_a_true_error_and_the_same_bits_every_time() 
     # every point has a residual, and those on the bone a weight
     assert np.isfinite(first.residuals_m).all() and len(first.weights) == 50_000
     assert (first.weights > 0.5).sum() == pytest.approx(45_000, abs=500)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_tip_at_rest_off_the_bone_does_not_bias_the_pose(seed: int) -> None:
+    rng, field = np.random.default_rng(seed), bone_field()
+    stroke = touched_points(600, seed, 1.5e-4)
+    place = stroke[rng.integers(len(stroke))]
+    outward = field.sample(place[None])[1][0]
+    resting = place + 3.5e-3 * outward + 1.5e-4 * rng.normal(size=(560, 3))
+    alone = register(transform(T_TRACKER_BONE, stroke), field)
+    both = register(transform(T_TRACKER_BONE, np.concatenate([stroke, resting])), field)
+    assert alone.success and both.success and both.T_tracker_bone is not None
+    moved = rigid.rms_displacement(alone.T_tracker_bone, both.T_tracker_bone,
+                                   field.surface_points.astype(np.float64))
+    assert moved < 0.5 * both.predicted_tre_m['rms']
