@@ -196,3 +196,11 @@ def test_uses_changed_settings(recorder: Recorder, session: Session, worker: Liv
     worker.notify()
     recorder.wait_for(lambda: not worker.status.ready)
     assert worker.status.reason is not None
+
+
+def test_searches_around_the_initial_pose_first(recorder: Recorder, session: Session,
+                                                worker: LiveWorker) -> None:
+    assert worker._guess() is None
+    assert session.set_initial_pose(T_TRACKER_BONE).success
+    guess = worker._guess()
+    assert guess is not None and np.allclose(guess @ T_TRACKER_BONE, np.eye(4))

@@ -45,7 +45,7 @@ LANDMARK = SimpleNamespace(name='tip', model=np.array([0.1, 0.0, 0.0]),
 
 
 def header():
-    return results.ResultHeader(ros.seconds_to_stamp(12.25), 'tracker', 'hip', 'a1b2', 4)
+    return results.ResultHeader(ros.seconds_to_stamp(12.25), 'tracker', 'hip', 'a1b2', 4, 11.5)
 
 
 def sent(message):
@@ -65,6 +65,7 @@ def test_an_accepted_registration_keeps_all_its_numbers():
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 250_000_000)
     assert (message.header.frame_id, message.bone_frame_id) == ('tracker', 'hip')
     assert (message.session_id, message.registration_id) == ('a1b2', 4)
+    assert ros.stamp_to_seconds(message.pose_stamp) == 11.5
     pose = message.pose.pose
     assert position_of(pose.position) == T[:3, 3].tolist()
     turn = pose.orientation
@@ -126,6 +127,7 @@ def test_a_withdrawal_has_its_reason_and_no_pose(reason):
 def assert_unknown(message):
     pose, weakest = message.pose.pose, message.weakest_direction
     assert np.isnan(position_of(pose.position)).all()
+    assert ros.stamp_to_seconds(message.pose_stamp) == 0.0
     assert np.isnan([pose.orientation.w, *message.pose.covariance]).all()
     assert np.isnan([message.tre_rms, message.tre_max, message.sigma, message.residual_rms,
                      message.runner_up_ratio, weakest.rotation_sigma]).all()

@@ -4,19 +4,24 @@
 from __future__ import annotations
 
 import pytest
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.node.status import (
     combined_status,
+    not_active,
     pose_kept,
     sentence,
     status_message,
+    with_stamp,
 )
 from gsdf_registration.registration.stroke_report import StrokeReport
 from gsdf_registration.session import Session
+from gsdf_registration.session.pose_changes import WithdrawnPose
 from gsdf_registration.session.status import Status
 
 READY = LiveStatus(ready=True, message='enough points: register now')
@@ -92,3 +97,31 @@ def test_message_has_the_level_of_the_state_and_values_of_both() -> None:
 def test_joins_parts_that_are_not_empty() -> None:
     assert sentence('a', '', 'b') == 'a; b'
     assert pose_kept(status()) == ''
+
+
+def test_a_withdrawn_pose_is_in_the_values() -> None:
+    pose = WithdrawnPose(Withdrawal.ARRAY_DISPLACED, 'clear', 'a1b2', 3, 'tracker')
+    values = {pair.key: pair.value
+              for pair in status_message(status(withdrawn=pose), FEW, 'node').values}
+    assert values['withdrawn'] == 'array_displaced' and values['pose'] == 'none'
+
+
+def test_a_node_that_is_not_active_has_no_pose() -> None:
+    shown = not_active(status(pose_result=ACCEPTED, state='registered', session_id='a1b2',
+                              registration_id=3, pose_frame_id='tracker'))
+    assert shown.pose_result is None and shown.state == 'idle'
+    assert shown.withdrawn == (Withdrawal.DEACTIVATED, '', 'a1b2', 3, 'tracker')
+    fresh = status()
+    assert not_active(fresh) is fresh
+
+
+def test_a_notice_to_act_on_is_a_warning() -> None:
+    for warning, level in ((False, DiagnosticStatus.OK), (True, DiagnosticStatus.WARN)):
+        assert status_message(status(warning=warning), FEW, 'node').level == level
+
+
+def test_the_stamp_is_the_first_value() -> None:
+    message = status_message(status(), FEW, 'node')
+    stamped = with_stamp(message, Time(sec=12, nanosec=5))
+    assert (stamped.values[0].key, stamped.values[0].value) == ('stamp', '12.000000005')
+    assert stamped.values[1:] == message.values and stamped.message == message.message
