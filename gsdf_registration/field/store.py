@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import stat
 import struct
 import tempfile
 import zlib
@@ -81,7 +82,10 @@ def load_field(path: str | os.PathLike[str]) -> Field:
 
     """
     try:
-        data = bytearray(Path(path).stat().st_size)
+        found = os.stat(path)
+        if not stat.S_ISREG(found.st_mode):     # opening a FIFO would wait for ever
+            raise InputError(f'{path}: cannot be read (it is not a regular file)')
+        data = bytearray(found.st_size)
         with open(path, 'rb') as file:
             file.readinto(data)
     except OSError as error:

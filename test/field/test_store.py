@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import struct
 import zlib
@@ -141,6 +142,15 @@ def test_cache_rebuilds_a_damaged_file(bone, builds, damage, caplog):
     assert_same(cached_field(bone, 0.002), cached_field(bone, 0.002))
     assert builds == [0.002, 0.002]
     assert len(caplog.records) == 1
+
+
+def test_a_pipe_in_the_cache_is_replaced(bone, builds, caplog):
+    cached_field(bone, 0.002)
+    file, = cache.cache_directory().iterdir()
+    file.unlink()
+    os.mkfifo(file)     # reading it would wait for ever
+    assert_same(cached_field(bone, 0.002), cached_field(bone, 0.002))
+    assert builds == [0.002, 0.002] and 'not a regular file' in caplog.text
 
 
 def test_builds_without_a_writable_cache(bone, builds, monkeypatch, tmp_path, caplog):
