@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, touched_points, with_model_error
@@ -103,3 +105,23 @@ def test_recomputes_neighbourhoods_after_a_large_motion(points: Array) -> None:
     pose.add(points[700:710])
     assert pose._motion() < NEIGHBOURHOOD_TOLERANCE
     assert len(pose._neighbourhood) == 710
+
+
+def test_adding_many_points_at_once_takes_little_memory(points: Array) -> None:
+    pose = warm(points[:600])
+    rng = np.random.default_rng(0)
+    many = np.repeat(points, 40, axis=0) + 2e-4 * rng.normal(size=(48_000, 3))
+    tracemalloc.start()
+    pose.add(many)
+    pose.add(many)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60e6      # all distances between them would take 18 GB
+    assert 1500 < len(pose.points) <= 2000
+
+
+def test_does_nothing_once_it_has_enough_points(points: Array) -> None:
+    pose = warm(points, Config.from_flat({'live.max_points': 1200}))
+    before = pose.solution
+    pose.add(np.repeat(points, 100, axis=0))
+    assert pose.solution is before and len(pose._cloud) == 1200
