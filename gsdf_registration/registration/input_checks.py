@@ -13,7 +13,12 @@ from gsdf_registration.common.result import InputError, Reason, Refusal, as_numb
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.landmarks import pose_from_landmarks
-from gsdf_registration.registration.point_selection import without_clumps
+from gsdf_registration.registration.point_selection import (
+    CHECKED,
+    MAX_POINTS,
+    evenly_spread,
+    without_clumps,
+)
 
 # The extent of the points over that of the bone: outside this range the unit is wrong, by a factor
 # of a thousand, even if the whole bone is exposed
@@ -45,7 +50,8 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
             Reason.TOO_FEW_POINTS,
             f'too few points: {len(points)}, {limits.min_points} are needed; '
             'drag the probe over more of the bone')
-    spread = points[without_clumps(points)]
+    spread = points[evenly_spread(np.arange(len(points)), CHECKED * MAX_POINTS)]
+    spread = spread[without_clumps(spread)]
     if len(spread) < limits.min_points:     # they are all in one place
         spread = points
     extent = float(np.ptp(np.percentile(spread, [5.0, 95.0], axis=0), axis=0).max())
