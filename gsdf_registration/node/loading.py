@@ -8,18 +8,15 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.kernel_cache import kernels_compiled
 from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.field import Field
 from gsdf_registration.field.model import find_model, load_model
-from gsdf_registration.live.warm_pose import WarmPose
-from gsdf_registration.registration.kernels import compile_kernels
-from gsdf_registration.registration.pipeline import register
-from gsdf_registration.solver import solve
+from gsdf_registration.registration.kernels import compile_kernels, load_kernels
 
 
 def load(config: Config, log: RcutilsLogger,
@@ -41,12 +38,11 @@ def load(config: Config, log: RcutilsLogger,
         return None
     _find(path)     # before a minute of compilation
     with _no_collection(), _warnings_to(log):
-        compile_kernels(lambda share: show('compiling, once on this machine '
-                                           f'({100.0 * share:.0f} %); wait a moment'))
+        _compile(show)
         log.info(f'loading {path}')
         show(f'loading {path}; wait a moment')
         field = _load(config)
-        _load_kernels(field, config)
+        load_kernels()
     log.info(f'{path} is loaded')
     return field
 
@@ -70,13 +66,13 @@ def _load(config: Config) -> Field:
                          f'{error or type(error).__name__}', Reason.NO_MODEL) from None
 
 
-def _load_kernels(field: Field, config: Config) -> None:
-    """Run all kernels once, so that the first registration takes no longer than later ones."""
-    points = field.surface_points[::50].astype(np.float64)
-    short = config.replaced({'search.rotations': 1, 'search.places': 1, 'search.parts': 0})
-    register(points, field, short)
-    solution = solve(points, field, np.eye(4), config.solver)
-    WarmPose(points, field, solution, config).add(np.tile(points[0], (10, 1)))
+def _compile(show: Callable[[str], None]) -> None:
+    """Compile the kernels in other processes, and show the progress."""
+    def progress(share: float) -> None:
+        show(f'compiling, once on this machine ({100.0 * share:.0f} %); wait a moment')
+    if not kernels_compiled():
+        progress(0.0)
+        compile_kernels(progress)
 
 
 @contextmanager

@@ -108,6 +108,7 @@ class _Spinner(threading.Thread):
         rclpy.try_shutdown()
         # DDS announces the end of the node only once nothing refers to it any more
         self._node = self._executor = node = None
+        gc.unfreeze()
         gc.collect()
         return self._status
 
