@@ -13,7 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 from gsdf_registration.common.downsampling import voxel_grid
 from gsdf_registration.common.rigid import Array
@@ -106,7 +106,8 @@ def _min_neighbours(neighbours: NDArray[np.intp]) -> int:
     # scattered points have Poisson counts, whose rate is the ratio of their first two frequencies
     rate = paired / lone if lone > 20 else 0.0
     least = MIN_NEIGHBOURS
-    while len(neighbours) * poisson.sf(least - 1,
-                                       rate) > 0.01 * np.count_nonzero(neighbours >= least) > 0:
+    # pdtrc: the probability of more, without scipy.stats, which takes long to import
+    while (len(neighbours) * pdtrc(least - 1, rate)
+           > 0.01 * np.count_nonzero(neighbours >= least) > 0):
         least += 1
     return least
