@@ -117,6 +117,12 @@ def hold(tracker: Tracker, place: np.ndarray) -> Any:
     return response
 
 
+def capture_landmark(client: Client) -> Any:
+    from gsdf_registration_msgs.srv import CaptureLandmark
+    return client.result(client.start(CaptureLandmark, 'typed/capture_landmark',
+                                      CaptureLandmark.Request()))
+
+
 def drop_last_stroke(client: Client) -> Any:
     """Drop the last stroke by its number."""
     from gsdf_registration_msgs.srv import DropStroke
@@ -127,7 +133,7 @@ def drop_last_stroke(client: Client) -> Any:
 
 def test_pose_is_published_until_it_is_withdrawn(start_node: StartNode, tmp_path: Path,
                                                  parameters: dict[str, Any]) -> None:
-    from gsdf_registration_msgs.srv import CaptureLandmark, DropStroke, Register
+    from gsdf_registration_msgs.srv import DropStroke, Register
     saved, empty = tmp_path / 'saved.json', tmp_path / 'empty.json'
     node = start_node('lifetime', **parameters | {
         'probe.topics': ['/probe/tip'], 'tf.rate': '50.0', 'session.path': saved})
@@ -138,10 +144,20 @@ def test_pose_is_published_until_it_is_withdrawn(start_node: StartNode, tmp_path
         assert (start.valid, start.reason) == (False, start.NOT_REGISTERED)
         tracker = Tracker(client, ['/probe/tip'])
         tracker.await_listener()
-        tracker.touch_landmarks(np.eye(4))
-        refused = client.result(client.start(CaptureLandmark, 'typed/capture_landmark',
-                                             CaptureLandmark.Request()))
-        assert not refused.success and refused.name == '' and not list(refused.remaining)
+        names = parameters['landmarks.names']
+        for number, place in enumerate(tracker.truth.landmarks_tracker):
+            tracker.send(np.tile(place, (50, 1)))
+            captured = capture_landmark(client)
+            while not captured.success:     # until the last points are received
+                captured = capture_landmark(client)
+            assert captured.name == names[number]
+            assert list(captured.remaining) == names[number + 1:]
+            assert captured.samples > 10 and captured.spread < 1e-6 and captured.session_id
+            at = captured.position.point
+            assert [at.x, at.y, at.z] == pytest.approx(place.tolist())
+            assert captured.position.header.frame_id == 'tracker'
+        refused = capture_landmark(client)
+        assert not refused.success and refused.name == '' and np.isnan(refused.spread)
         tracker.drag(np.eye(4))
         before = client.status()
 
