@@ -24,3 +24,7 @@ class InitialPose(NamedTuple):
 
     T_tracker_bone: Array   # (4, 4)
     frame_id: str           # of the points; empty: whatever it is
+
+    def applies_to(self, points_frame: str | None) -> bool:
+        """Return whether it is in the frame of the points."""
+        return self.frame_id in ('', points_frame)

@@ -228,6 +228,7 @@ class Session:
                 landmarks = state.landmarks.pairs
             if T_tracker_bone is None:
                 T_tracker_bone = state.guess
+            unused = state.unused_initial_pose
             self._solving = True
         try:
             result = register(points.positions,
@@ -253,6 +254,8 @@ class Session:
             else:
                 state.refuse(result)
             self._notices.on_registration()
+            if unused:
+                self._notices.set(unused, warning=True)
             return result
 
     def verify(self, now: float | None = None) -> Answer:

@@ -170,20 +170,29 @@ class SessionState:
 
     def set_initial_pose(self, T_tracker_bone: Array, frame_id: str) -> Answer:
         """Search here first until a registration is accepted or the session is cleared."""
-        points_frame = self.collection.frame_id
-        if frame_id and points_frame and frame_id != points_frame:
+        given = InitialPose(T_tracker_bone, frame_id)
+        if self.collection.frame_id and not given.applies_to(self.collection.frame_id):
             return Answer(False, f'the initial pose is rejected: it is in frame "{frame_id}", but '
-                          f'the points are in "{points_frame}"')
-        self.initial_pose = InitialPose(T_tracker_bone, frame_id)
+                          f'the points are in "{self.collection.frame_id}"')
+        self.initial_pose = given
         return Answer(True, 'the initial pose is the first guess until a registration is accepted')
 
     @property
     def guess(self) -> Array | None:
         """The initial pose T_tracker_bone (4, 4), if it is in the frame of the points."""
         initial = self.initial_pose
-        if initial is None or initial.frame_id not in ('', self.collection.frame_id):
+        if initial is None or not initial.applies_to(self.collection.frame_id):
             return None
         return initial.T_tracker_bone
+
+    @property
+    def unused_initial_pose(self) -> str:
+        """Return why the initial pose does not apply to the points; empty if it does."""
+        initial, points_frame = self.initial_pose, self.collection.frame_id
+        if initial is None or not points_frame or initial.applies_to(points_frame):
+            return ''
+        return (f'the initial pose is not used: it is in frame "{initial.frame_id}", but the '
+                f'points are in "{points_frame}"')
 
     def capture_landmark(self, now: float | None) -> Answer:
         """Capture the stationary tip as the next landmark; its points are not used in the fit."""

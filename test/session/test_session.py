@@ -113,6 +113,15 @@ def test_an_initial_pose_is_the_first_guess(field: Field, monkeypatch: pytest.Mo
     assert session.status().warning and 'in frame "map"' in session.status().message
 
 
+def test_reports_an_initial_pose_in_another_frame_than_the_first_point(field: Field) -> None:
+    session = Session(CONFIG, field)
+    assert session.set_initial_pose(T_TRACKER_BONE, 'map').success
+    send(session, surface_points(field, 2))
+    session.register()
+    assert session.status().message.endswith(
+        'the initial pose is not used: it is in frame "map", but the points are in "cam"')
+
+
 def test_the_stamp_of_the_pose_is_that_of_the_newest_point(field: Field) -> None:
     session = registered(field)
     assert session.status().pose_stamp == session.points().stamps[-1] == 399.0
