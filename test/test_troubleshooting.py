@@ -21,7 +21,7 @@ QUOTES = re.findall(r'^> (.+)$', PAGE, re.MULTILINE)
 def sentences() -> str:
     """Return every string of the sources, one per line, with … for inserted values."""
     texts = set()
-    for package in ('gsdf_registration', 'msg_adapters'):
+    for package in ('gsdf_registration', 'msg_adapters', 'launch', 'examples'):
         for file in (ROOT / package).rglob('*.py'):
             for node in ast.walk(ast.parse(file.read_text())):
                 if isinstance(node, ast.JoinedStr):
