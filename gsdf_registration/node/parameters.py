@@ -213,7 +213,7 @@ def descriptor(setting: dataclasses.Field[Any]) -> ParameterDescriptor:
     about = setting.metadata
     constraints = [f'one of {", ".join(about["choices"])}' if about['choices'] else '',
                    'read when the node is configured' if about['fixed'] else '',
-                   'set together with names' if setting.name == 'positions' else '']
+                   'three for each of the names' if setting.name == 'positions' else '']
     described = ParameterDescriptor(
         description=about['description'] + (f' [{about["unit"]}]' if about['unit'] else ''),
         additional_constraints='; '.join(each for each in constraints if each))
