@@ -88,6 +88,7 @@ setup(
         'test': [
             'pytest>=8',
             'pytest-timeout',
+            'pytest-xdist',
             'hypothesis',
             'ruff==0.17.6',
             'mypy==2.4.1',
