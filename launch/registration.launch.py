@@ -20,7 +20,7 @@ from launch_ros.substitutions import FindPackageShare
 from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
 from gsdf_registration.common.config import NAMES
-from gsdf_registration.node.naming import prefix_of
+from gsdf_registration.common.naming import prefix_of
 
 SHARE = FindPackageShare('gsdf_registration')
 SWITCH = ['true', 'false', 'True', 'False']

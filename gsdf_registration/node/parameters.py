@@ -21,6 +21,7 @@ from rclpy.parameter import Parameter
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from gsdf_registration.common.config import PLACES, Config, UnmatchedPlaces, settings, valid_value
+from gsdf_registration.common.naming import prefix_of
 from gsdf_registration.common.parameter_file import (
     NODE_PARAMETERS,
     foreign_sentence,
@@ -28,7 +29,6 @@ from gsdf_registration.common.parameter_file import (
 )
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import default_value, shortened, shown
-from gsdf_registration.node.naming import prefix_of
 from msg_adapters.session_file import session_path
 
 # Topics with messages of other types that every node, or this one, publishes or receives

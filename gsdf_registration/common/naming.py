@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Default names of frames and files: two nodes with default settings have none in common."""
+"""Default names of frames and files, which differ between any two nodes."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ NODE_NAME = 'registration'      # of the executable and the launch file
 
 def prefix_of(namespace: str, name: str) -> str:
     """
-    Return what comes before the default names of a node.
+    Return the prefix of the default names of a node.
 
-    It is made of the fully qualified name: ``femur_`` for /femur/registration and for /femur,
-    ``left_femur_`` for /left/femur/registration, nothing for /registration.
+    It is derived from the fully qualified name: ``femur_`` for /femur/registration and for /femur,
+    ``left_femur_`` for /left/femur/registration, and an empty string for /registration.
     """
     words = f'{namespace}/{name}'.strip('/').split('/')
     if words[-1] == NODE_NAME:

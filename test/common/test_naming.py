@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.node.naming import prefix_of
+from gsdf_registration.common.naming import prefix_of
 
 NODES = [('/', 'registration'), ('/femur', 'registration'), ('/left/femur', 'registration'),
          ('/', 'tibia'), ('/left', 'tibia')]
