@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +19,14 @@ from msg_adapters.recording import RecordedTransform, Recording
 
 POINT = 'geometry_msgs/msg/PointStamped'
 POSE = 'geometry_msgs/msg/PoseStamped'
+TOOL_POSES = (POSE, 'geometry_msgs/msg/PoseWithCovarianceStamped',
+              'geometry_msgs/msg/TransformStamped')
 TF = 'tf2_msgs/msg/TFMessage'
 FRAMES = {'/tf': False, '/tf_static': True}     # whether a transform is valid for all times
 TIP_TOPIC = '/probe/tip'
 # the stationary tip at landmarks, not points of the scan
 LANDMARK_TOPIC = '/probe/landmarks'
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-
-# The position in each message type that can be read
-POSITION: dict[str, Callable[[Any], Any]] = {
-    POINT: lambda message: message.point,
-    POSE: lambda message: message.pose.position,
-    'geometry_msgs/msg/TransformStamped': lambda message: message.transform.translation,
-}
 
 
 def list_topics(path: str | os.PathLike[str]) -> list[Topic]:
@@ -57,8 +52,8 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     path : path
         Directory of the bag, or one of its storage files.
     topics : sequence of str, optional
-        PointStamped, PoseStamped or TransformStamped topics. The default is /probe/tip, or the only
-        PointStamped topic other than /probe/landmarks.
+        PointStamped topics. The default is /probe/tip, or the only PointStamped topic other than
+        /probe/landmarks.
     reference : str, optional
         PoseStamped topic of the reference array, for `Recording.transforms`.
     frames : bool, optional
@@ -108,11 +103,16 @@ def _select_topics(path: Path, types: dict[str, str], wanted: Sequence[str] | No
                 f'choose one of its topics: {available}')
         return names
     names = list(dict.fromkeys(wanted))
-    bad = [name for name in names if types.get(name) not in POSITION]
-    if bad or not names:
+    bad = [name for name in names if types.get(name) != POINT]
+    # its origin is centimetres from its tip, and the bone would be found as far from its place
+    tools = [name for name in bad if types.get(name) in TOOL_POSES]
+    if tools:
         raise InputError(
-            f'{path} has no topic {", ".join(bad)} of type PointStamped, PoseStamped or '
-            f'TransformStamped; it has {available}')
+            f'{path}: {", ".join(tools)} has the pose of a tool ({types[tools[0]]}), not the '
+            'position of its tip; choose a PointStamped topic')
+    if bad or not names:
+        raise InputError(f'{path} has no topic {", ".join(bad)} of type PointStamped; it has '
+                         f'{available}')
     return names
 
 
@@ -127,7 +127,7 @@ def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np
     frames = []
     for i, raw in enumerate(messages):
         message = decode_message(path, i, raw)
-        position = POSITION[raw.msgtype](message)
+        position = message.point
         times[i] = stamps.to_seconds(message.header.stamp.sec, message.header.stamp.nanosec)
         positions[i] = position.x, position.y, position.z
         frames.append(message.header.frame_id)

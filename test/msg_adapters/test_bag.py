@@ -86,7 +86,7 @@ def test_reads_compressed_bags(tmp_path, mode):
 
 
 @pytest.mark.parametrize('storage', STORAGES)
-def test_reads_all_message_types_with_a_position(tmp_path, storage):
+def test_reads_points_and_rejects_the_poses_of_a_tool(tmp_path, storage):
     pose = new('geometry_msgs/msg/Pose', new('geometry_msgs/msg/Point', 1.0, 2.0, 3.0),
                new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0))
     motion = new('geometry_msgs/msg/Transform', new('geometry_msgs/msg/Vector3', 4.0, 5.0, 6.0),
@@ -98,11 +98,11 @@ def test_reads_all_message_types_with_a_position(tmp_path, storage):
          new('geometry_msgs/msg/TransformStamped', header(30, 'b'), 'tool', motion)),
         ('/point', POINT, 3, point(10, 7.0, 8.0, 9.0, 'c')),
         ('/text', 'std_msgs/msg/String', 4, new('std_msgs/msg/String', 'hello'))], storage)
-    points = read_bag(path, ['/pose', '/motion', '/point'])
-    # in the order received, independent of the stamps
-    assert points.positions.tolist() == [[4, 5, 6], [1, 2, 3], [7, 8, 9]]
-    assert points.frame_ids == ['b', 'a', 'c']
-    assert [points.source_names[i] for i in points.sources] == ['/motion', '/pose', '/point']
+    points = read_bag(path, ['/point'])
+    assert points.positions.tolist() == [[7, 8, 9]] and points.frame_ids == ['c']
+    for tool in ('/pose', '/motion'):
+        message = refusal(path, ['/point', tool])
+        assert f'{tool} has the pose of a tool' in message and 'PointStamped' in message
     assert [(topic.name, topic.messages) for topic in list_topics(path)] == [
         ('/motion', 1), ('/point', 1), ('/pose', 1), ('/text', 1)]
     assert read_bag(path).source_names == ['/point']        # the only PointStamped topic
