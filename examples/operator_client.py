@@ -3,7 +3,7 @@
 Wait until enough points are collected, register, and print the pose of the bone.
 
 It may be run again: if the bone is registered already, it prints the pose. An answer that is lost
-does no harm, because to register the same points again gives the same pose.
+is safe, because registering the same points again gives the same pose.
 """
 
 import argparse

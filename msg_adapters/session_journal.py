@@ -13,7 +13,7 @@ survive a power loss, use ``~/save``.
 
 The file is created with the first event that is worth keeping.  An existing file, and the file of a
 session that is cleared, is kept as ``.1``, and an earlier one as ``.2``.  If it cannot be renamed,
-the next session goes on in the same file.
+the next session continues in the same file.
 """
 
 from __future__ import annotations

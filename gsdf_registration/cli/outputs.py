@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def require_report(path: str | None) -> None:
-    """Raise `InputError` before any work is done if ``--report`` lacks a library."""
+    """Raise `InputError` before any work is done if a library for ``--report`` is missing."""
     if path is not None:
         from gsdf_registration.visualization import require_plotly
         require_plotly()
@@ -48,7 +48,7 @@ def write_report(path: str | None, result: RegistrationResult, field: Field | No
 
 
 def write_json(path: str | None, document: Any) -> None:
-    """Write a document if ``--json`` was given; NaN, which JSON lacks, raises ValueError."""
+    """Write a document if ``--json`` was given; NaN raises ValueError: JSON has none."""
     if path is None:
         return
     text = json.dumps(document, indent=1, allow_nan=False) + '\n'

@@ -25,7 +25,7 @@ def add_parser(subparsers: Any) -> None:
         'pivot', help='find the tip of a tool from a pivot recording',
         description='Find the tip of a tool in the frame of the tool, from poses recorded while '
         'the tip was kept in a divot and the tool was tilted to all sides. Wrong readings are left '
-        'out, and so is all but the longest part if the tip slipped. The tip is rejected if its '
+        'out; if the tip slipped, only the longest part is used. The tip is rejected if its '
         'expected error (95 %) exceeds 1 mm.',
         **example('gsdf pivot pivot_bag --topic /probe/pose --json tip.json',
                   'gsdf pivot pivot.csv --unit mm --tool Probe'))

@@ -49,7 +49,7 @@ def add_parser(subparsers: Any) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """What is the same for every bag."""
+    """The arguments that all bags share."""
 
     config: Config
     topics: list[str] | None

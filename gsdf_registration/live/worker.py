@@ -181,7 +181,7 @@ class LiveWorker:
         self._assess_if_due()
 
     def _apply_requests(self) -> None:
-        """Apply changed settings and finished registrations; both permit a search at once."""
+        """Apply changed settings and finished registrations; both allow a search at once."""
         config = self._source.config
         if config is not self._live.config:
             self._live.config = config

@@ -92,7 +92,7 @@ class FrameWatch:
 
 
 def _content(transform: TransformStamped) -> tuple[Any, ...]:
-    """Return all that tells a transform from those of other programs."""
+    """Return what distinguishes a transform from those of other programs."""
     stamp, shift = transform.header.stamp, transform.transform.translation
     turn = transform.transform.rotation
     return (stamp.sec, stamp.nanosec, transform.header.frame_id, shift.x, shift.y, shift.z,

@@ -93,7 +93,7 @@ class Inputs:
         """
         Subscribe so that each callback also takes the messages that wait behind the first.
 
-        By itself rclpy takes one message per turn and then serves a request.  A request needs the
+        rclpy takes one message per turn and then serves a request.  A request needs the
         latest points, and after a delay it would be answered from old ones.
         """
         def take_all(message: Any, info: dict[str, Any]) -> None:

@@ -34,7 +34,7 @@ def load(config: Config, log: RcutilsLogger,
     """
     path = config.model.path
     if not path:
-        log.warning('no bone model: model.path is empty; points are collected nevertheless')
+        log.warning('no bone model: model.path is empty; points are still collected')
         return None
     _find(path)     # before a minute of compilation
     with _no_collection(), _warnings_to(log):

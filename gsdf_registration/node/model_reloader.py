@@ -84,7 +84,7 @@ class ModelReloader:
             return False    # it is loaded when the node is configured
         other = model != self._model
         if self._background.busy and (other or _places(config) != _places(self._config)):
-            raise InputError('a bone is being loaded; wait until ~/status no longer says so')
+            raise InputError('a bone is being loaded; wait until ~/status reports the end')
         if not other:
             return False
         if not model.path:

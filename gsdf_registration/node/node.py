@@ -83,7 +83,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self.publish_status()
 
     def finish(self, timeout: float) -> bool:
-        """Shut down and destroy the node; False if a job goes on after ``timeout`` seconds."""
+        """Shut down and destroy the node; False if a job still runs after ``timeout`` seconds."""
         self.cancelled.set()
         if not self._private_services.shutdown(timeout) or not self._reloader.shutdown():
             return False
@@ -191,7 +191,7 @@ class RegistrationNode(PreparedLifecycleNode):
         if self.state == 'configuring':
             return self._loading or 'the bone is being loaded; wait a moment'
         if self.state == 'finalized':
-            return 'the node is finalized, which is final; start it again'
+            return 'the node is finalized; start a new one'
         if self.problem is not None:
             return f'{self.problem.reason}: {self.problem.message}'
         missing = 'configure and activate' if self.state == 'unconfigured' else 'activate'
@@ -309,7 +309,7 @@ class RegistrationNode(PreparedLifecycleNode):
 
     def _why_fixed(self, name: str) -> str:
         if self.state == 'configuring' and name.startswith(('model.', 'session.')):
-            return 'a bone is being loaded; wait until ~/status no longer says so'
+            return 'a bone is being loaded; wait until ~/status reports the end'
         if self.state == 'unconfigured' or not dict(settings())[name].metadata['fixed']:
             return ''
         return (f'{name} is read when the node is configured; call the transitions deactivate and '

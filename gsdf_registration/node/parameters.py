@@ -80,7 +80,7 @@ class ParameterWatch:
     Applies later changes of the parameters; of each request either all or none.
 
     Names, positions and ``guidance.near`` may be set one after the other, as ``ros2 param load``
-    does: they are held until they match, and the settings in use stay until then.
+    does: they are pending until they match, and the current settings stay in use.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class ParameterWatch:
             self._node.get_logger().debug(f'parameters set: {", ".join(changed)}')
 
     def _merged(self, values: dict[str, Any]) -> tuple[Config, dict[str, Any], str]:
-        """Return the settings to use, the values that are held, and what they wait for."""
+        """Return the settings to use, the pending values, and what is missing."""
         current = self._current()
         together = {**self._held, **values}
         try:

@@ -86,8 +86,8 @@ class PosePublishers:
         """
         Publish a registered pose in ``frame_id``; late joiners receive it too.
 
-        As of the live pose, its stamp is that of the ``newest`` point used, s.  That of the
-        transform is the time at which it is sent, which tf2 needs.
+        The stamp of the pose is that of the ``newest`` point used, s, as of the live pose. The
+        stamp of the transform is the time at which it is sent, as tf2 needs.
         """
         T, covariance = result.T_tracker_bone, result.covariance
         assert T is not None and covariance is not None     # an accepted result has both

@@ -115,15 +115,15 @@ class Session:
         """
         Drop the stroke started last; the accepted registration stays until the next one.
 
-        A stroke that was split automatically is dropped part by part, and the answer says so.
+        A stroke that was split automatically is dropped part by part; the answer mentions it.
         """
         with self._lock:
             dropped = self._state.undo()
             if dropped is None:
                 return Answer(False, 'there is no stroke to undo')
             split = '' if not dropped.split_by else (
-                f', which a {dropped.split_by} had split from the one before: undo again to drop '
-                'that too')
+                f' after a {dropped.split_by}; undo again to drop the stroke before the '
+                f'{dropped.split_by} too')
             return self._dropped(f'the last stroke, {format_count(dropped.points, "point")}{split}')
 
     def drop_stroke(self, number: int) -> Answer:

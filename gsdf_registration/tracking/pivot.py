@@ -50,7 +50,7 @@ __all__ = ['JOINT', 'PIVOT', 'FixedPoint', 'PivotReason', 'Task', 'calibrate_piv
 SHARE, PART_SHARE, WITHIN_PART = 0.3, 0.15, 0.7
 MAX_TURN_NOISE = np.radians(1.0) ** 2   # rad^2 per axis; bounds the estimate of the noise
 STILL = np.radians(2.0)     # rad; a body that turns less stands still
-WIDEST = 90.0           # deg; more is not asked of a user
+WIDEST = 90.0           # deg; the advice never asks for more
 
 
 class PivotReason(str, Enum):

@@ -53,8 +53,7 @@ def test_goes_through_all_states_for_a_lifecycle_manager(start_node: StartNode,
         assert client.change(Transition.TRANSITION_CONFIGURE)
         assert client.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
         assert client.state() == 'finalized'
-        assert client.ask('register').message == ('the node is finalized, which is final; start it '
-                                                  'again')
+        assert client.ask('register').message == 'the node is finalized; start a new one'
     node.process.send_signal(signal.SIGTERM)
     assert node.process.wait(timeout=2.0) == 0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One request never ends the node: it is answered with one sentence, and the node goes on."""
+"""One request never ends the node: it is answered with one sentence, and the node continues."""
 
 from __future__ import annotations
 

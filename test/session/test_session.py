@@ -211,8 +211,8 @@ def test_undo_drops_the_parts_of_a_split_stroke(field: Field) -> None:
     for i, point in enumerate(line):        # after a silence
         session.add(sample(150.0 + i / RATE, point))
     assert session.undo().message == (
-        'dropped the last stroke, 80 points, which a silence had split from the one before: undo '
-        'again to drop that too; 160 points in 2 strokes left')
+        'dropped the last stroke, 80 points after a silence; undo again to drop the stroke before '
+        'the silence too; 160 points in 2 strokes left')
     assert session.undo().message == (
         'dropped the last stroke, 80 points; 80 points in 1 stroke left')
     assert session.undo().success and not session.undo().success
