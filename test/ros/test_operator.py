@@ -238,16 +238,17 @@ def test_answers_a_second_registration_at_once_while_one_runs(tracker: Tracker) 
 def test_publishes_the_points_in_the_bone_frame(tracker: Tracker, shared_node: NodeProcess) -> None:
     register_at(tracker, STILL)
     with Client(shared_node) as display:
-        cloud = display.receive(PointCloud2, '~/points')
-        bone = display.receive(MarkerArray, '~/markers')
         status = display.status(state='registered')
+        # the last assessment of the live pose may still be on its way
+        cloud = display.receive(PointCloud2, '~/points', accept=lambda cloud: (
+            (ros.cloud_to_arrays(cloud)['weight'] > 0.5).sum() == int(status['inliers'])))
+        bone = display.receive(MarkerArray, '~/markers')
     assert cloud.header.frame_id == 'bone'
     columns = ros.cloud_to_arrays(cloud)
     assert list(columns) == ['x', 'y', 'z', 'residual', 'weight', 'stroke']
     assert len(columns['x']) == int(status['kept'])
     good = columns['weight'] > 0.5
     assert np.abs(columns['residual'][good]).max() < 1e-3
-    assert good.sum() == int(status['inliers'])
     assert {marker.header.frame_id for marker in bone.markers} == {'bone'}
     surface = np.array([[p.x, p.y, p.z] for p in bone.markers[0].points])
     assert 0.1 < np.ptp(surface, axis=0).max() < 0.3     # metres
