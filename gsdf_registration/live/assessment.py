@@ -55,7 +55,7 @@ class FullAssessment:
     residuals_m, weights : (n,) float, of the points; empty unless the pose is trusted
     stroke_reports : one per stroke; empty unless the pose is trusted
 
-    A pose is trusted if there is no reason to reject it but a lack of points.
+    A pose is trusted if the only reason to reject it, if any, is too few points.
     """
 
     points: Points
