@@ -14,12 +14,17 @@ from dataclasses import field as item
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.solver import Solution, nearest_neighbours
+
+# 95 % quantile of chi-square for 1 to 3 degrees of freedom
+FREEDOM = np.linspace(1.0, 3.0, 65)
+CHI_SQUARE_95 = 2.0 * gammaincinv(0.5 * FREEDOM, 0.95)
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,11 @@ class Confidence:
         """Return the predicted TRE (n,) (RMS, m) at ``targets`` (n, 3), m, bone frame."""
         C = self.motion_covariance
         return _expected_length(C[3:, 3:], C[3:, :3], C[:3, :3], targets - self.centroid)
+
+    def p95(self, targets: Array) -> Array:
+        """Return the 95 % bound of the error (n,), m, at ``targets`` (n, 3), m, bone frame."""
+        B = motion_at(targets - self.centroid)
+        return _quantile_of_length(B @ self.motion_covariance @ B.transpose(0, 2, 1))
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
@@ -90,6 +100,24 @@ def _expected_length(C_tt: Array, C_tr: Array, C_rr: Array, arms: Array) -> Arra
     spread = np.trace(C_rr) * np.eye(3) - C_rr
     squared = ((arms @ spread + 2.0 * t_cross_r) * arms).sum(axis=1)
     return np.asarray(np.sqrt(np.trace(C_tt) + squared))
+
+
+def _quantile_of_length(C: Array) -> Array:
+    """
+    Return the 95 % quantile (n,) of the length of Gaussian vectors of covariances ``C`` (n, 3, 3).
+
+    The squared length is a weighted sum of chi-squares. It is replaced by a shifted and scaled
+    chi-square of the same mean, variance and skewness (Pearson 1959; Imhof 1961, section 4): exact
+    for equal or single eigenvalues, within 0.7 % between.
+    """
+    total = np.maximum(np.trace(C, axis1=1, axis2=2), 1e-300)   # sum of the eigenvalues
+    C = C / total[:, None, None]
+    squared = C @ C
+    second, third = np.trace(squared, axis1=1, axis2=2), (squared * C).sum(axis=(1, 2))
+    third = np.where(third > 0.0, third, 1.0)       # zero without uncertainty
+    freedom = second**3 / third**2
+    above = (np.interp(freedom, FREEDOM, CHI_SQUARE_95) - freedom) * third / np.maximum(second, 0.3)
+    return np.asarray(np.sqrt(total * (1.0 + above)))
 
 
 def motion_at(arms: Array) -> Array:

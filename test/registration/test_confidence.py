@@ -161,3 +161,32 @@ def test_the_predicted_tre_follows_from_the_pose_covariance() -> None:
     covariance = confidence.pose_covariance(T_tracker_bone)
     np.testing.assert_allclose(predicted_tre(T_tracker_bone, covariance, surface),
                                confidence.predicted_tre(surface), rtol=1e-6)
+
+
+@pytest.mark.parametrize('axes', [(1.0, 0.0, 0.0), (1.0, 0.4, 0.1), (1.0, 1.0, 0.3),
+                                  (0.2, 0.2, 1.0), (1.0, 1.0, 1.0)])
+def test_95_percent_of_the_errors_at_a_target_are_within_its_bound(
+        axes: tuple[float, float, float]) -> None:
+    rng = np.random.default_rng(0)
+    factor = np.vstack([1e-2 * np.eye(3), np.diag(axes)]) @ rng.normal(size=(3, 3)) * 1e-3
+    confidence = Confidence(factor @ factor.T, np.array([0.1, 0.0, 0.0]), 1e-4, 1.0)
+    targets = np.array([[0.1, 0.0, 0.0], [0.3, -0.2, 0.1]])
+    motions = rng.normal(size=(200_000, 3)) @ factor.T
+    bounds = confidence.p95(targets)
+    for target, bound in zip(targets, bounds):
+        errors = np.linalg.norm(np.cross(motions[:, :3], target - confidence.centroid)
+                                + motions[:, 3:], axis=1)
+        assert (errors < bound).mean() == pytest.approx(0.95, abs=0.004)
+
+
+def test_the_bound_at_a_target_scales_with_the_unit_of_length() -> None:
+    C = np.diag([1e-6, 2e-6, 3e-6, 1e-8, 2e-8, 3e-8])
+    unit = np.diag([1.0, 1.0, 1.0, 1e3, 1e3, 1e3])
+    target = np.array([[0.03, 0.02, -0.05]])
+    metres, millimetres = (Confidence(covariance, np.zeros(3), 1e-4, 1.0).p95(places)
+                           for covariance, places in ((C, target), (unit @ C @ unit, 1e3 * target)))
+    assert millimetres == pytest.approx(1e3 * metres)
+
+
+def test_without_uncertainty_the_bound_at_a_target_is_zero() -> None:
+    assert Confidence(np.zeros((6, 6)), np.zeros(3), 0.0, 1.0).p95(TARGETS) == pytest.approx(0.0)
