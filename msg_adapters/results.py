@@ -90,7 +90,7 @@ def available() -> bool:
     return type(message)._TYPE_SUPPORT is not None
 
 
-def result_msg(result: RegistrationResult, header: ResultHeader, *, grade: str = '',
+def result_msg(result: RegistrationResult, header: ResultHeader, *,
                rejected: Mapping[str, int] | None = None, strokes: Sequence[Stroke] = (),
                landmarks: Sequence[Landmark] = ()) -> Any:
     """
@@ -100,8 +100,6 @@ def result_msg(result: RegistrationResult, header: ResultHeader, *, grade: str =
     ----------
     result : RegistrationResult
     header : ResultHeader
-    grade : str
-        'A' or 'B'; empty if not graded.
     rejected : mapping of str to int, optional
         Number of rejected points by cause.
     strokes, landmarks : sequences
@@ -110,7 +108,7 @@ def result_msg(result: RegistrationResult, header: ResultHeader, *, grade: str =
     """
     message = _empty_result(header)
     message.valid, message.reason = result.success, _reason(result.reason.name)
-    message.message, message.grade = result.message, grade if result.success else ''
+    message.message, message.grade = result.message, result.grade or ''
     if result.T_tracker_bone is not None:
         message.pose = _pose(result.T_tracker_bone, result.covariance)
         message.pose_stamp = ros.seconds_to_stamp(header.pose_stamp)
@@ -118,6 +116,10 @@ def result_msg(result: RegistrationResult, header: ResultHeader, *, grade: str =
     message.target_names = [name for name in tre if name not in OVER_THE_BONE]
     message.target_tre = [_number(tre[name]) for name in message.target_names]
     message.tre_rms, message.tre_max = (_number(tre.get(name)) for name in OVER_THE_BONE)
+    if result.zone is not None:
+        message.zone_limit, message.zone_distance = result.zone.limit_m, result.zone.distance_m
+        message.zone_share = result.zone.bone_share
+        message.target_p95 = [result.zone.p95_m[name] for name in message.target_names]
     message.sigma = _number(result.sigma_m)
     message.residual_rms = _number(result.residual_rms_m)
     message.runner_up_ratio = _number(result.runner_up_ratio)

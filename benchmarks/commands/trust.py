@@ -33,7 +33,7 @@ def add_parser(subparsers: Any) -> None:
         'are of a wrong bone, an object or noise, or if its error exceeds 3 mm, or 1 mm + 3 times '
         'the predicted error (RMS over the bone). A problem is well-posed if the right bone is '
         'touched in one of the usual regions and 1.5 times the Cramer-Rao bound of the error is '
-        'within limits.max_predicted_tre and limits.max_bone_tre.',
+        'within limits.max_error where limits.require demands it.',
         **example('python -m benchmarks trust --bones ~/bones --trials 3000 -o trust.tsv'))
     add_bones_option(parser)
     parser.add_argument('--regions', metavar='NAME,...', default='',

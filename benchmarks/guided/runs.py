@@ -16,10 +16,10 @@ from benchmarks.protocol.cases import Case, bone, region_patch
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array, rms
-from gsdf_registration.registration.acceptance import NEARBY
 from gsdf_registration.registration.candidate import Candidate
 from gsdf_registration.registration.guidance import best_touches, distinguishing_touch
 from gsdf_registration.registration.pipeline import find_candidate
+from gsdf_registration.registration.zone import NEARBY
 from gsdf_registration.simulation.patch import Patch, walk
 from gsdf_registration.simulation.probe import Hand, Tracker, measure, random_pose
 

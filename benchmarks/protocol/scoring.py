@@ -18,8 +18,8 @@ from benchmarks.protocol.trials import Problem
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.registration.acceptance import error_limits
 from gsdf_registration.registration.confidence import Confidence, motion_at
+from gsdf_registration.registration.zone import map_error, required_part
 
 # an answer is wrong if its RMS TRE over the bone exceeds FAR, or MARGIN + FACTOR * predicted error
 FAR = 0.003         # m
@@ -117,17 +117,18 @@ def cramer_rao(problem: Problem) -> Confidence:
 
 
 def share_of_limits(problem: Problem, bound: Confidence, config: Config) -> float:
-    """Return the largest ratio of the bound of the TRE to its limit; 1: just within the limits."""
-    return max(rigid.rms(bound.predicted_tre(part.targets)) / part.limit
-               for part in error_limits(problem.touched, problem.field, config))
+    """Return the 95 % error at the bound over its limit, where it is required; 1: just allowed."""
+    errors = map_error(bound, problem.field.surface_points.astype(np.float64), problem.touched,
+                       config)
+    return required_part(errors, config).p95 / config.limits.max_error
 
 
 def well_posed(problem: Problem, bound: Confidence | None, config: Config) -> bool:
     """
     Return whether a refusal of the problem would be a fault.
 
-    That is so if the scenario is no hard case and 1.5 times the bound of the TRE is within the
-    limits of the predicted TRE, `limits.max_predicted_tre` and `limits.max_bone_tre`.
+    That is so if the scenario is no hard case and 1.5 times the error at the bound is within
+    `limits.max_error` in the part of the bone that `limits.require` names.
     """
     return (bound is not None and not problem.trial.scenario.hard
             and REACHABLE * share_of_limits(problem, bound, config) <= 1.0)

@@ -20,9 +20,9 @@ from gsdf_registration.common.result import InputError, Refusal, RegistrationRes
 
 if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
+    from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
-    from gsdf_registration.session import LandmarkPairs
 
 
 def add_parser(subparsers: Any) -> None:
@@ -53,7 +53,7 @@ class Job:
 
     config: Config
     topics: list[str] | None
-    landmarks: LandmarkPairs | None
+    landmarks: Landmarks | None
     T_tracker_bone: Array | None
     field: Field | Refusal      # a refusal if the model is not as large as a bone
     load_s: float               # time to load the model
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     outputs.require_report(args.report)
     config = inputs.effective_config(args)
     inputs.prepare_kernels(config)
-    landmarks = inputs.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
+    landmarks = inputs.read_landmark_file(args.landmarks, config.model.unit, args.unit)
     T_tracker_bone = inputs.read_initial(args.initial)
     started = time.perf_counter()
     field = inputs.field_or_refusal(config)
@@ -138,7 +138,7 @@ def replay_bag(bag: str, job: Job) -> Outcome:
         if truth is not None and frame_id in ('', truth.frame_id):
             error_text = true_error(result, bone, truth.T_tracker_bone)
     document = result_to_json(
-        result, job.config, frame_id=frame_id, points_sha256=sha256_of(bag),
+        result, job.config, frame_id=frame_id, rejected=rejected, points_sha256=sha256_of(bag),
         model_sha256=bone.bone_sha256 if bone else None,
         load_s=job.load_s + loaded - started, total_s=job.load_s + time.perf_counter() - started)
     outputs.write_report(job.report, result, bone, points, document, {

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A result as JSON, schema "gsdf-registration/1": every key, null for unknown values; SI units."""
+"""A result as JSON, schema "gsdf-registration/2": every key, null for unknown values; SI units."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from gsdf_registration import __version__
@@ -11,12 +12,13 @@ from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import RegistrationResult, WeakestDirection
 from gsdf_registration.common.rigid import quaternion_from_rotation
 
-SCHEMA = 'gsdf-registration/1'
+SCHEMA = 'gsdf-registration/2'
 
 
 def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str = '',
                    model_sha256: str | None = None, points_sha256: str | None = None,
-                   load_s: float | None = None, total_s: float | None = None) -> dict[str, Any]:
+                   rejected: Mapping[str, int] | None = None, load_s: float | None = None,
+                   total_s: float | None = None) -> dict[str, Any]:
     """
     Return the JSON document of one registration.
 
@@ -29,6 +31,8 @@ def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str 
         Frame of the points and of the pose; empty: not known.
     model_sha256, points_sha256 : str, optional
         Hashes of the inputs.
+    rejected : mapping of str to int, optional
+        Number of samples that were not collected, by cause.
     load_s, total_s : float, optional
         Time to load model and points, and total time, s.
 
@@ -38,14 +42,17 @@ def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str 
         'success': result.success,
         'reason': result.reason,
         'message': result.message,
+        'grade': result.grade,
         'T_tracker_bone': result.T_tracker_bone,
         'bone_pose': _bone_pose(result, frame_id),
         'covariance': result.covariance,
         'points': {'received': result.received, 'used': result.used, 'inliers': result.inliers,
                    'left_out': result.left_out},
+        'rejected': dict(rejected or {}),
         'sigma_m': result.sigma_m,
         'residual_rms_m': result.residual_rms_m,
         'predicted_tre_m': {'rms': None, 'max': None, **result.predicted_tre_m},
+        'zone': result.zone,
         'weakest_direction': dict.fromkeys(WeakestDirection.__dataclass_fields__)
         if result.weakest_direction is None else result.weakest_direction,
         'ambiguity': {'runner_up_ratio': result.runner_up_ratio},

@@ -34,6 +34,7 @@ PLACES = ('landmarks.names', 'landmarks.positions', 'targets.names', 'targets.po
           'guidance.near')
 
 MIN_RATE = 0.01     # Hz; the period of a timer cannot be arbitrarily long
+MAX_TIP = 2.0       # m; the longest tools measure half a metre
 
 
 class UnmatchedPlaces(InputError):
@@ -70,7 +71,18 @@ class ModelConfig:
 class ProbeConfig:
     """The source of the points."""
 
-    topics: list[str] = setting(['/probe/tip'], 'PointStamped topics of the probe tip')
+    topics: list[str] = setting(
+        ['/probe/tip'], 'topics of the probe: PointStamped positions of its tip, or poses of the '
+        'tool as PoseStamped, PoseWithCovarianceStamped or TransformStamped')
+    type: str = setting('auto', 'what the topics carry: positions of the tip (point) or poses of '
+                        'the tool (pose); auto: as they are published',
+                        choices=('auto', 'point', 'pose'))
+    tip: list[float] = setting(
+        [], 'position of the tip in the frame of the tool, x y z, for poses of the tool; empty: '
+        'not known, set or calibrate it; 0 0 0: the pose is that of the tip', 'm', items=float)
+    shaft: list[float] = setting(
+        [], 'direction of the shaft in the frame of the tool, x y z, from the tip to the handle; '
+        'empty: not known', items=float)
     frame_id: str = setting('', 'frame of the points, which /tf may provide; empty: frame of the '
                             'first point')
 
@@ -127,7 +139,8 @@ class LandmarksConfig:
     """Named points of the model that are touched for an initial guess."""
 
     names: list[str] = setting([], 'landmarks in the order in which they are touched')
-    positions: list[float] = setting([], 'positions of the landmarks, x y z each, bone frame', 'm')
+    positions: list[float] = setting([], 'positions of the landmarks, x y z each, bone frame', 'm',
+                                    items=float)
     dwell: float = setting(0.5, 'time for which the tip must be stationary at a landmark', 's',
                            0.05, 10.0)
     radius: float = setting(0.002, 'a tip that stays within this radius is stationary', 'm', 1e-4,
@@ -175,12 +188,13 @@ class LimitsConfig:
     min_gap: float = setting(
         24.0, 'minimum difference in log-likelihood between the pose and any alternative pose', '',
         0.0, 1e6)
-    max_predicted_tre: float = setting(
-        0.002, 'maximum predicted TRE (RMS) at the targets; without targets, on the bone within '
-        '100 mm of the touched points', 'm', 1e-5, 1.0)
-    max_bone_tre: float = setting(
-        0.0013, 'maximum predicted TRE (RMS) over the whole bone, if there are no targets', 'm',
-        1e-5, 1.0)
+    max_error: float = setting(
+        0.002, 'a place on the bone is in the zone if its error is smaller with a probability of '
+        '95 %', 'm', 1e-5, 1.0)
+    require: str = setting(
+        '', 'what must be in the zone: touched (the bone within 100 mm of the touched points), '
+        'targets or bone; empty: targets if there are any, else touched',
+        choices=('', 'touched', 'targets', 'bone'))
     verification: float = setting(0.002, 'maximum distance of a verification point from the bone',
                                   'm', 1e-5, 0.1)
 
@@ -190,7 +204,8 @@ class TargetsConfig:
     """The points on the bone where the accuracy matters."""
 
     names: list[str] = setting([], 'targets at which the TRE is predicted')
-    positions: list[float] = setting([], 'positions of the targets, x y z each, bone frame', 'm')
+    positions: list[float] = setting([], 'positions of the targets, x y z each, bone frame', 'm',
+                                    items=float)
 
 
 @dataclass(frozen=True)
@@ -300,6 +315,7 @@ class Config:
         if 0.0 < self.tf.rate < MIN_RATE:
             raise InputError(f'tf.rate must be 0 or at least {MIN_RATE:g} Hz, not '
                              f'{self.tf.rate:g}')
+        self._check_probe()
         for section in ('landmarks', 'targets'):
             points = getattr(self, section)
             names, positions = f'{section}.names', f'{section}.positions'
@@ -313,6 +329,11 @@ class Config:
                     'the other')
             if len(set(points.names)) < len(points.names):
                 raise InputError(f'{names} has a duplicate name; use unique names')
+        if self.limits.require == 'targets' and not self.targets.names:
+            missing = 'limits.require is "targets", but there are none'
+            raise UnmatchedPlaces(f'{missing}; set targets.names and targets.positions',
+                                  ('limits.require', 'targets.names', 'targets.positions'),
+                                  f'{missing}; waiting for targets.names')
         for name in self.guidance.near:
             if name not in self.landmarks.names + self.targets.names:
                 unknown = (f'guidance.near contains "{shortened(name)}", which is neither a '
@@ -321,6 +342,18 @@ class Config:
                     f'{unknown}; add it to landmarks.names or targets.names',
                     ('guidance.near', 'landmarks.names', 'targets.names'),
                     f'{unknown}; waiting for landmarks.names or targets.names')
+
+    def _check_probe(self) -> None:
+        """Check the vectors in the frame of the tool."""
+        for name, vector in (('tip', self.probe.tip), ('shaft', self.probe.shaft)):
+            if len(vector) not in (0, 3):
+                raise InputError(f'probe.{name} must have three numbers, x y z in the frame of the '
+                                 f'tool, or none if it is not known; not {len(vector)}')
+        if any(abs(value) > MAX_TIP for value in self.probe.tip):
+            raise InputError(f'probe.tip must lie within {MAX_TIP:g} m of the origin of the tool, '
+                             f'not at {self.probe.tip}; it is in metres')
+        if self.probe.shaft and not any(self.probe.shaft):
+            raise InputError('probe.shaft must have a direction, not 0 0 0')
 
     def named(self, prefix: str = '') -> Config:
         """Return a copy with ``prefix`` and a default for each of `NAMES` that is empty."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -136,6 +137,36 @@ class WeakestDirection:
 
 
 @dataclass(frozen=True)
+class Zone:
+    """
+    The part of the bone where the error is within a limit with a probability of 95 %.
+
+    limit_m : float, m, `limits.max_error`
+    distance_m : float, m: every place on the bone this near to the touched points is in the zone
+    bone_share : float, share of the surface of the bone in the zone
+    p95_m : dict of str to float, m: the error at each target is smaller with 95 % probability
+    touched_p95_m, bone_p95_m : float, m, the largest within 100 mm of the touched points, and on
+        the whole bone
+    """
+
+    limit_m: float
+    distance_m: float
+    bone_share: float
+    p95_m: dict[str, float]
+    touched_p95_m: float
+    bone_p95_m: float
+
+    @property
+    def sentence(self) -> str:
+        """Where the pose is accurate, as part of a sentence."""
+        accurate = f'accurate to {format_error(self.limit_m)} (95 %)'
+        if self.bone_share == 1.0:
+            return f'{accurate} on the whole bone'
+        return (f'{accurate} within {1e3 * self.distance_m:.0f} mm of the touched area, on '
+                f'{math.floor(100.0 * self.bone_share)} % of the bone')
+
+
+@dataclass(frozen=True)
 class RegistrationResult:
     """
     The outcome of `register`.
@@ -160,6 +191,7 @@ class RegistrationResult:
     residual_rms_m: float | None = None
     predicted_tre_m: dict[str, float] = field(default_factory=dict)     # targets, rms, max
     weakest_direction: WeakestDirection | None = None
+    zone: Zone | None = None
     # cost of the best alternative pose divided by the cost of this pose
     runner_up_ratio: float | None = None
     iterations: int = 0
@@ -172,6 +204,17 @@ class RegistrationResult:
     def success(self) -> bool:
         """Whether the registration converged to an accepted pose."""
         return self.reason is Reason.CONVERGED
+
+    @property
+    def grade(self) -> str | None:
+        """
+        The grade of an accepted pose; None for a refusal.
+
+        A: the zone is the whole bone. B: the zone contains the part that ``limits.require`` names.
+        """
+        if not self.success or self.zone is None:
+            return None
+        return 'A' if self.zone.bone_share == 1.0 else 'B'
 
     @property
     def T_bone_tracker(self) -> Array | None:

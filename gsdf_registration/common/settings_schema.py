@@ -15,7 +15,8 @@ MAX_SHOWN = 100     # characters of a value in a message
 
 
 def setting(default: Any, description: str, unit: str = '', low: float | None = None,
-            high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False) -> Any:
+            high: float | None = None, choices: tuple[str, ...] = (), fixed: bool = False,
+            items: type = str) -> Any:
     """
     Return a dataclass field for a setting.
 
@@ -27,10 +28,11 @@ def setting(default: Any, description: str, unit: str = '', low: float | None = 
     low, high : float, both ends of the valid range are included
     choices : of str, the valid values
     fixed : bool, whether a change takes effect only when the node is configured again
+    items : of a list, the type of its items: str or float
 
     """
     metadata = {'description': description, 'unit': unit, 'low': low, 'high': high,
-                'choices': choices, 'fixed': fixed}
+                'choices': choices, 'fixed': fixed, 'items': items}
     if isinstance(default, list):
         return field(default_factory=lambda: list(default), metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -63,7 +65,7 @@ def validate(name: str, value: Any, declared: dataclasses.Field[Any]) -> Any:
     """
     default = default_value(declared)
     if isinstance(default, list):
-        return _validate_list(name, value)
+        return _validate_list(name, value, declared.metadata['items'])
     kind = type(default)
     if not _has_type(value, kind):
         wanted = {bool: 'a bool', str: 'a str', int: 'a whole number',
@@ -80,9 +82,8 @@ def validate(name: str, value: Any, declared: dataclasses.Field[Any]) -> Any:
     return kind(value)
 
 
-def _validate_list(name: str, value: Any) -> list[Any]:
-    """Return a list of float for positions, a list of str for all other names."""
-    kind = float if name.endswith('positions') else str
+def _validate_list(name: str, value: Any, kind: type) -> list[Any]:
+    """Return a list whose items are of this type."""
     is_list = isinstance(value, (list, tuple)) or hasattr(value, 'tolist')
     if not is_list or not all(_has_type(item, kind) for item in value):
         raise InputError(f'{name} must be a list of {kind.__name__}, not {shown(value)}')

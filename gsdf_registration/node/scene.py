@@ -17,7 +17,7 @@ from gsdf_registration.common.result import NextTouch
 from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.field import Field
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
-from gsdf_registration.registration.confidence import predicted_tre
+from gsdf_registration.registration.confidence import error_bound
 from gsdf_registration.registration.guidance import PATCH
 from gsdf_registration.registration.point_selection import evenly_spread
 from gsdf_registration.visualization import colours
@@ -87,7 +87,7 @@ class ScenePublisher:
         on_bone = transform(inverse(T_tracker_bone), positions)
         shown = evenly_spread(np.arange(len(positions)), MAX_POINTS)
         vertices, faces = self._drawn_surface(field)
-        error = predicted_tre(T_tracker_bone, covariance, vertices)
+        error = error_bound(T_tracker_bone, covariance, vertices)
         self._publish(
             markers.bone(vertices, faces, colours.error_colours(error, limits))
             + markers.points(on_bone[shown], colours.residual_colours(

@@ -9,7 +9,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.result import Reason, RegistrationResult, Zone
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.registration.stroke_report import interference_message
@@ -93,7 +93,8 @@ def with_stamp(status: DiagnosticStatus, stamp: Time) -> DiagnosticStatus:
 
 def _accuracy(result: RegistrationResult) -> dict[str, str]:
     """Return how accurate the accepted registration is."""
-    values = {'used': str(result.used), 'inliers': str(result.inliers)}
+    values = {'used': str(result.used), 'inliers': str(result.inliers),
+              'grade': result.grade or ''}
     values |= {
         f'predicted_tre_m.{target}': f'{tre:.6f}'
         for target, tre in result.predicted_tre_m.items() if tre is not None
@@ -101,9 +102,20 @@ def _accuracy(result: RegistrationResult) -> dict[str, str]:
     for name in ('sigma_m', 'runner_up_ratio'):
         if getattr(result, name) is not None:
             values[name] = f'{getattr(result, name):.6f}'
+    if result.zone is not None:
+        values |= _zone(result.zone)
     if result.weakest_direction is not None:
         values['weakest_direction'] = result.weakest_direction.sentence
     return values
+
+
+def _zone(zone: Zone) -> dict[str, str]:
+    """Return where the pose may be used."""
+    return {'zone.limit_m': f'{zone.limit_m:.6f}', 'zone.distance_m': f'{zone.distance_m:.6f}',
+            'zone.bone_share': f'{zone.bone_share:.4f}',
+            'zone.touched_p95_m': f'{zone.touched_p95_m:.6f}',
+            'zone.bone_p95_m': f'{zone.bone_p95_m:.6f}',
+            **{f'zone.p95_m.{target}': f'{p95:.6f}' for target, p95 in zone.p95_m.items()}}
 
 
 def _live_values(live: LiveStatus) -> dict[str, str]:

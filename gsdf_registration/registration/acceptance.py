@@ -4,12 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config, LimitsConfig
@@ -21,28 +17,12 @@ from gsdf_registration.registration.candidate import Candidate
 from gsdf_registration.registration.guidance import distinguishing_touch, next_touches
 from gsdf_registration.registration.landmarks import named_points
 from gsdf_registration.registration.wording import describe_place
+from gsdf_registration.registration.zone import required_part
 
-NEARBY = 0.1    # m: the part of the bone around the touched area that a surgeon works on
 # Share of the points: with so many inliers on the bone, correlated residuals come from an
 # inaccurate model or tracker, for which the covariance allows, and not from another bone
 CLEAR_INLIERS = 0.93
 TOUCH_ELSEWHERE = 'touch other sides of the bone'
-
-
-class ErrorLimit(NamedTuple):
-    """
-    A part of the bone where the predicted TRE is limited.
-
-    where : str, as part of a sentence
-    targets : (n, 3) float, m, bone frame
-    limit : float, m (RMS)
-    rows : (m,) bool, which surface points of the bone the targets are; None if they are others
-    """
-
-    where: str
-    targets: Array
-    limit: float
-    rows: NDArray[np.bool_] | None
 
 
 def rejection_reasons(candidate: Candidate, points: Array, field: Field,
@@ -76,7 +56,7 @@ def rejection_reasons(candidate: Candidate, points: Array, field: Field,
         yield Refusal(Reason.NOT_CONVERGED,
                       f'the solver did not converge: {candidate.solution.termination}; touch more '
                       'of the bone or start from landmarks')
-    yield from _check_predicted_tre(candidate, touched, field, config)
+    yield from _check_error(candidate, touched, field, config)
 
 
 def _check_inliers(candidate: Candidate, limits: LimitsConfig) -> Iterator[Refusal]:
@@ -129,50 +109,20 @@ def _check_alternatives(candidate: Candidate, touched: Array, field: Field,
                   touches)
 
 
-def _check_predicted_tre(candidate: Candidate, touched: Array, field: Field,
-                         config: Config) -> Iterator[Refusal]:
-    """Yield a refusal for the first part of the bone where the predicted TRE is over its limit."""
+def _check_error(candidate: Candidate, touched: Array, field: Field,
+                 config: Config) -> Iterator[Refusal]:
+    """Yield a refusal if a part of the bone that is required is not in the zone."""
     assert candidate.confidence is not None and candidate.weakest_direction is not None
-    for part in error_limits(touched, field, config):
-        error = rigid.rms(candidate.confidence.predicted_tre(part.targets) if part.rows is None
-                          else candidate.surface_tre[part.rows])
-        if error > part.limit:
-            touches = next_touches(candidate.confidence, field, touched, part.targets, config)
-            advice = _advice(touches, touched, field, config)
-            yield Refusal(
-                Reason.UNDER_CONSTRAINED,
-                f'the expected error {part.where} is {format_length(error)} (RMS), '
-                f'{format_length(part.limit)} is allowed; '
-                f'{candidate.weakest_direction.sentence}; {advice}', advice, touches)
-            return
-
-
-def error_limits(touched: Array, field: Field, config: Config) -> list[ErrorLimit]:
-    """
-    Return where the predicted TRE is limited.
-
-    This is at the named targets; without any, on the bone within 100 mm of the ``touched`` points
-    (n, 3), m, bone frame, and on the whole bone.
-    """
-    limits = config.limits
-    if config.targets.names:
-        return [ErrorLimit('at the targets', np.reshape(config.targets.positions, (-1, 3)),
-                           limits.max_predicted_tre, None)]
-    surface = field.surface_points.astype(np.float64)
-    nearby = _is_nearby(surface, touched)
-    return [ErrorLimit('around the touched area', surface[nearby], limits.max_predicted_tre,
-                       nearby),
-            ErrorLimit('over the whole bone (name targets if only a part of it matters)', surface,
-                       limits.max_bone_tre, np.ones(len(surface), dtype=bool))]
-
-
-def _is_nearby(surface: Array, touched: Array) -> NDArray[np.bool_]:
-    """Return which points of ``surface`` (n, 3) are nearby any of ``touched`` (m, 3)."""
-    # a few of the touched points decide for most, which takes a tenth of the time
-    nearby = cdist(surface, touched[::-(-len(touched) // 16)]).min(axis=1) < NEARBY
-    rest = cKDTree(touched).query(surface[~nearby], distance_upper_bound=NEARBY)[0] < NEARBY
-    nearby[~nearby] = rest
-    return nearby
+    assert candidate.errors is not None
+    part, limit = required_part(candidate.errors, config), config.limits.max_error
+    if part.p95 <= limit:
+        return
+    touches = next_touches(candidate.confidence, field, touched, part.points, config)
+    advice = _advice(touches, touched, field, config)
+    yield Refusal(Reason.UNDER_CONSTRAINED,
+                  f'the error {part.where} may be {format_length(part.p95)} (95 %), '
+                  f'{format_length(limit)} is allowed; {candidate.weakest_direction.sentence}; '
+                  f'{advice}', advice, touches)
 
 
 def _advice(touches: Sequence[NextTouch], touched: Array, field: Field, config: Config) -> str:
@@ -186,9 +136,10 @@ def _advice(touches: Sequence[NextTouch], touched: Array, field: Field, config: 
 def acceptance_message(candidate: Candidate) -> str:
     """Return one sentence on an accepted candidate."""
     assert candidate.confidence is not None and candidate.weakest_direction is not None
+    assert candidate.zone is not None
     error = format_error(candidate.predicted_tre_m['rms'])
-    message = (f'pose found from {candidate.inliers} of {candidate.used} points; expected error '
-               f'{error} (RMS) over the bone')
+    message = (f'pose found from {candidate.inliers} of {candidate.used} points; '
+               f'{candidate.zone.sentence}; expected error {error} (RMS) over the bone')
     if candidate.confidence.model_sd > 0.0:
         message += (', which includes a local error of the model or the tracker of '
                     f'{format_length(candidate.confidence.model_sd)} (SD)')

@@ -16,6 +16,7 @@ from gsdf_registration.common.result import (
     Reason,
     RegistrationResult,
     WeakestDirection,
+    Zone,
 )
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
@@ -23,6 +24,7 @@ from gsdf_registration.registration.confidence import Confidence
 from gsdf_registration.registration.landmarks import named_points
 from gsdf_registration.registration.pose_selection import SelectedPose
 from gsdf_registration.registration.weakest_direction import weakest_direction
+from gsdf_registration.registration.zone import ErrorMap, find_zone, map_error
 from gsdf_registration.solver import Solution
 
 
@@ -32,18 +34,18 @@ class Candidate:
     A pose that the pipeline found, before it is accepted or rejected.
 
     selected : SelectedPose
-    confidence : Confidence, or None if the points do not constrain the pose; then the next three
+    confidence : Confidence, or None if the points do not constrain the pose; then the next four
         are empty
-    surface_tre : (m,) float, m, predicted at the surface points of the bone
-    predicted_tre_m : as in `RegistrationResult`
-    weakest_direction : WeakestDirection or None
+    errors : ErrorMap, the error to expect all over the bone
+    predicted_tre_m, zone, weakest_direction : as in `RegistrationResult`
     timing_s : of the stages `search` and `solve`
     """
 
     selected: SelectedPose
     confidence: Confidence | None
-    surface_tre: Array
+    errors: ErrorMap | None = None
     predicted_tre_m: dict[str, float] = item(default_factory=dict)
+    zone: Zone | None = None
     weakest_direction: WeakestDirection | None = None
     timing_s: dict[str, float] = item(default_factory=dict)
 
@@ -94,7 +96,8 @@ class Candidate:
             sigma_m=None if self.confidence is None else self.confidence.sigma,
             residual_rms_m=(rigid.rms(self.selected.residuals[self.inlier])
                             if self.inliers else None),
-            predicted_tre_m=self.predicted_tre_m, weakest_direction=self.weakest_direction,
+            predicted_tre_m=self.predicted_tre_m, zone=self.zone,
+            weakest_direction=self.weakest_direction,
             runner_up_ratio=self.selected.runner_up_ratio, iterations=self.solution.iterations,
             timing_s=self.timing_s, residuals_m=residuals, weights=weights,
             history=self.solution.history)
@@ -120,7 +123,7 @@ def assess_candidate(selected: SelectedPose, confidence: Confidence | None, poin
 
     """
     if confidence is None:
-        return Candidate(selected, None, np.zeros(0), timing_s=timing_s or {})
+        return Candidate(selected, None, timing_s=timing_s or {})
     surface = field.surface_points.astype(np.float64)
     surface_tre = confidence.predicted_tre(surface)
     target_tre = confidence.predicted_tre(np.reshape(config.targets.positions, (-1, 3)))
@@ -129,4 +132,7 @@ def assess_candidate(selected: SelectedPose, confidence: Confidence | None, poin
     touched = rigid.transform(selected.solution.T_bone_tracker, points)
     outward = field.sample(touched)[1].mean(axis=0)
     weakest = weakest_direction(confidence, surface, touched, outward, named_points(config))
-    return Candidate(selected, confidence, surface_tre, predicted_tre_m, weakest, timing_s or {})
+    on_bone = touched[selected.solution.weights > INLIER_WEIGHT]
+    errors = map_error(confidence, surface, on_bone if len(on_bone) else touched, config)
+    return Candidate(selected, confidence, errors, predicted_tre_m,
+                     find_zone(errors, config.limits.max_error), weakest, timing_s or {})

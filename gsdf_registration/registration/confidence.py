@@ -89,6 +89,13 @@ def predicted_tre(T_tracker_bone: Array, covariance: Array, points: Array) -> Ar
                             points @ T_tracker_bone[:3, :3].T)
 
 
+def error_bound(T_tracker_bone: Array, covariance: Array, points: Array) -> Array:
+    """Return the 95 % bound of the error (n,), m, of a pose; parameters as `predicted_tre`."""
+    order = [3, 4, 5, 0, 1, 2]      # rotation first, as in `motion_at`
+    B = motion_at(points @ T_tracker_bone[:3, :3].T)
+    return _quantile_of_length(B @ covariance[np.ix_(order, order)] @ B.transpose(0, 2, 1))
+
+
 def _expected_length(C_tt: Array, C_tr: Array, C_rr: Array, arms: Array) -> Array:
     """
     Return the expected length (n,) (RMS) of t + r x a, for small r and t of these covariances.

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 import numpy as np
 
 from gsdf_registration.common.json_values import plain
-from gsdf_registration.common.result import Reason, RegistrationResult, WeakestDirection
+from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array, is_rigid
 
 # fields of a result that a record leaves out; the first two are columns of `points`
@@ -104,7 +104,7 @@ def _value(value: Any, hint: Any, shape: tuple[int, ...]) -> Any:
     if hint == Array:
         return array(value, shape)
     if dataclasses.is_dataclass(hint):
-        return _from_dict(WeakestDirection, value)
+        return _from_dict(hint, value)
     if get_origin(hint) is dict:
         return {text(key): None if item is None else _value(item, get_args(hint)[1], shape)
                 for key, item in value.items()}

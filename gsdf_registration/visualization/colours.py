@@ -39,12 +39,12 @@ def max_residual(limits: LimitsConfig) -> float:
 
 
 def max_error(limits: LimitsConfig) -> float:
-    """Return the end of the scale of the expected error, m."""
-    return 2.0 * limits.max_predicted_tre
+    """Return the end of the scale of the error, m; the border of the zone is in its middle."""
+    return 2.0 * limits.max_error
 
 
 def error_colours(errors: Array, limits: LimitsConfig) -> Array:
-    """Return the colours (..., 3) of the bone for expected errors (...), m."""
+    """Return the colours (..., 3) of the bone for errors (...), m (95 %)."""
     return on_scale(errors, ERROR, max_error(limits))
 
 

@@ -13,7 +13,7 @@ from gsdf_registration.common.config import LimitsConfig
 from gsdf_registration.common.result import NextTouch
 from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.field import Field
-from gsdf_registration.registration.confidence import predicted_tre
+from gsdf_registration.registration.confidence import error_bound
 from gsdf_registration.registration.guidance import PATCH
 from gsdf_registration.visualization import colours
 from gsdf_registration.visualization.raycast import Camera, cast, light
@@ -95,7 +95,7 @@ def _bone_colours(scene: Scene, places: Array) -> Array:
     """Return the colours of places on the bone by their expected error."""
     if scene.T_tracker_bone is None or scene.covariance is None:
         return np.tile(colours.rgb(colours.ERROR[0]), (len(places), 1))
-    return colours.error_colours(predicted_tre(scene.T_tracker_bone, scene.covariance, places),
+    return colours.error_colours(error_bound(scene.T_tracker_bone, scene.covariance, places),
                                  scene.limits)
 
 

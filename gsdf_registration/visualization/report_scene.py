@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gsdf_registration.common.result import INLIER_WEIGHT, RegistrationResult, WeakestDirection
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.field import Field
-from gsdf_registration.registration.confidence import predicted_tre
+from gsdf_registration.registration.confidence import error_bound
 from gsdf_registration.visualization.decimation import decimate
 
 BONE, GREY = '#d8d3c8', '#6e7781'
@@ -135,7 +135,7 @@ def _add_tre_button(figure: go.Figure, result: RegistrationResult) -> None:
     bone = figure.data[0]
     corners = np.stack([bone.x, bone.y, bone.z], axis=1).astype(np.float64) / 1e3
     assert result.T_tracker_bone is not None and result.covariance is not None
-    tre = 1e3 * predicted_tre(result.T_tracker_bone, result.covariance, corners)
+    tre = 1e3 * error_bound(result.T_tracker_bone, result.covariance, corners)
     plain = [[0, BONE], [1, BONE]]
     bone.update(intensity=tre.astype(np.float32), colorscale=plain, showscale=False, hoverinfo=None,
                 colorbar=_bar('predicted<br>TRE, mm', x=-0.02),

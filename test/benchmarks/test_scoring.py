@@ -24,7 +24,7 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.registration.confidence import motion_at
 from gsdf_registration.solver import solve
 
-GENEROUS = Config().replaced({'limits.max_predicted_tre': 0.01, 'limits.max_bone_tre': 0.01})
+GENEROUS = Config().replaced({'limits.max_error': 0.02})
 
 
 def problem(bone: Path, scenario: str, seed: int = 0, region: str = 'condyles') -> Problem:
@@ -119,12 +119,13 @@ def test_every_pose_of_a_wrong_bone_is_wrong(femur_bone: Path) -> None:
 def test_well_posed(clean: Problem, femur_bone: Path) -> None:
     bound = cramer_rao(clean)
     assert well_posed(clean, bound, GENEROUS)
-    everywhere = 1e-3 * np.ceil(1e3 * bound.predicted_tre(clean.field.surface_points).max())
-    for name in ('limits.max_predicted_tre', 'limits.max_bone_tre'):
-        strict = GENEROUS.replaced({name: 1e-4})
-        assert not well_posed(clean, bound, strict)
-        assert share_of_limits(clean, bound, strict) > 1.0
-        assert well_posed(clean, bound, GENEROUS.replaced({name: 1.5 * everywhere}))
+    everywhere = float(bound.p95(clean.field.surface_points).max())
+    required = {'limits.require': 'bone'}
+    strict = GENEROUS.replaced({'limits.max_error': 1.4 * everywhere, **required})
+    assert not well_posed(clean, bound, strict)
+    assert share_of_limits(clean, bound, strict) == pytest.approx(1.0 / 1.4)
+    assert well_posed(clean, bound, GENEROUS.replaced({'limits.max_error': 1.6 * everywhere,
+                                                       **required}))
     shaft = problem(femur_bone, 'shaft_only', region='proximal_femur')
     assert not well_posed(shaft, cramer_rao(shaft), GENEROUS)
     assert not well_posed(problem(femur_bone, 'mirrored'), None, GENEROUS)

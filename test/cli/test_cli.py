@@ -23,8 +23,8 @@ from msg_adapters.truth import Truth, truth_path, write_truth
 T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
 LANDMARKS = np.array([[0.03, 0.0, 0.0], [0.0, 0.045, 0.0], [0.0, 0.0, 0.07]])
 KEYS = {
-    'schema', 'success', 'reason', 'message', 'T_tracker_bone', 'bone_pose', 'covariance', 'points',
-    'sigma_m', 'residual_rms_m', 'predicted_tre_m', 'weakest_direction', 'ambiguity', 'timing_s',
+    'schema', 'success', 'reason', 'message', 'grade', 'T_tracker_bone', 'bone_pose', 'covariance',
+    'points', 'rejected', 'sigma_m', 'residual_rms_m', 'predicted_tre_m', 'zone', 'weakest_direction', 'ambiguity', 'timing_s',
     'inputs', 'config', 'version'
 }
 HEADER = 'name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z\n'
@@ -88,7 +88,7 @@ def test_register_end_to_end(job: Path) -> None:
     assert done.stdout.startswith('registered: ') and ' mm' in done.stdout
     outcome = json.loads((job / 'pose.json').read_text())
     assert set(outcome) == KEYS
-    assert (outcome['schema'], outcome['version']) == ('gsdf-registration/1', __version__)
+    assert (outcome['schema'], outcome['version']) == ('gsdf-registration/2', __version__)
     T = np.array(outcome['T_tracker_bone'])
     assert is_rigid(T)
     assert np.abs(transform(T, LANDMARKS) - transform(T_TRACKER_BONE, LANDMARKS)).max() < 3e-4

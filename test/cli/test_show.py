@@ -83,7 +83,7 @@ def test_draws_a_recording(bags: Path, hip_bone: Path) -> None:
 
 def test_draws_a_rejected_pose_with_the_next_touch(
         capsys: pytest.CaptureFixture[str]) -> None:
-    Path('strict.yaml').write_text('limits: {max_bone_tre: 0.00002, max_predicted_tre: 0.00002}')
+    Path('strict.yaml').write_text('limits: {max_error: 0.00002}')
     points = ['points.csv', '--unit', 'mm', '--model', 'bone.ply', '--initial', 'near.json']
     assert main(['show', *points, '-o', 'good.png']) == 0
     assert main(['show', *points, '-o', 'poor.png', '--config', 'strict.yaml']) == 1

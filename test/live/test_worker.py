@@ -192,7 +192,7 @@ def test_cancels_the_assessment_of_dropped_points(recorder: Recorder, session: S
 def test_uses_changed_settings(recorder: Recorder, session: Session, worker: LiveWorker) -> None:
     fill(session)
     recorder.wait_for(lambda: worker.status.ready)
-    session.configure(CONFIG.replaced({'limits.max_bone_tre': 1e-5}))
+    session.configure(CONFIG.replaced({'limits.max_error': 1e-5}))
     worker.notify()
     recorder.wait_for(lambda: not worker.status.ready)
     assert worker.status.reason is not None

@@ -14,6 +14,7 @@ from gsdf_registration.common.result import (
     Reason,
     RegistrationResult,
     WeakestDirection,
+    Zone,
 )
 from gsdf_registration.common.rigid import exp, transform
 from gsdf_registration.common.withdrawal import Withdrawal
@@ -37,7 +38,8 @@ ACCEPTED = RegistrationResult(
     Reason.CONVERGED, 'registered', T, COVARIANCE, received=120, used=100, inliers=90,
     sigma_m=3e-4, residual_rms_m=2.5e-4,
     predicted_tre_m={'neck': 4e-4, 'cup': 6e-4, 'rms': 5e-4, 'max': 9e-4},
-    weakest_direction=WEAKEST, runner_up_ratio=7.5)
+    weakest_direction=WEAKEST, runner_up_ratio=7.5,
+    zone=Zone(2e-3, 0.15, 0.6, {'neck': 7e-4, 'cup': 1e-3}, 1.5e-3, 4e-3))
 STROKES = [SimpleNamespace(number=1, points=60, share_on_bone=0.9, rms_m=2e-4, interference=False),
            SimpleNamespace(number=3, points=60, share_on_bone=0.0, rms_m=None, interference=True)]
 LANDMARK = SimpleNamespace(name='tip', model=np.array([0.1, 0.0, 0.0]),
@@ -58,8 +60,7 @@ def position_of(point):
 
 
 def test_an_accepted_registration_keeps_all_its_numbers():
-    message = sent(results.result_msg(ACCEPTED, header(), grade='B', rejected={'too_fast': 2,
-                                                                               'stale': 0}))
+    message = sent(results.result_msg(ACCEPTED, header(), rejected={'too_fast': 2, 'stale': 0}))
     assert message.valid and message.reason == message.CONVERGED
     assert message.message == 'registered' and message.grade == 'B'
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 250_000_000)
@@ -77,7 +78,8 @@ def test_an_accepted_registration_keeps_all_its_numbers():
     assert (message.received, message.used, message.inliers) == (120, 100, 90)
     assert message.rejected_causes == ['too_fast', 'stale']
     assert list(message.rejected_counts) == [2, 0]
-    assert (message.zone_limit, message.zone_distance, message.zone_share) == (0.0, 0.0, 0.0)
+    assert (message.zone_limit, message.zone_distance, message.zone_share) == (2e-3, 0.15, 0.6)
+    assert list(message.target_p95) == [7e-4, 1e-3]
 
 
 def test_strokes_are_reported_with_points_on_the_bone():
@@ -107,7 +109,7 @@ def test_the_weakest_direction_is_given_as_a_screw():
 @pytest.mark.parametrize('reason', [reason for reason in Reason if reason != Reason.CONVERGED])
 def test_a_rejected_registration_has_its_reason_and_no_pose(reason):
     rejected = RegistrationResult.refused(reason, 'touch more', received=7)
-    message = sent(results.result_msg(rejected, header(), grade='A', landmarks=[LANDMARK]))
+    message = sent(results.result_msg(rejected, header(), landmarks=[LANDMARK]))
     assert not message.valid and message.grade == ''
     assert message.reason == getattr(message, reason.name)
     assert message.message == 'touch more' and message.received == 7

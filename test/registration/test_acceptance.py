@@ -17,7 +17,6 @@ from gsdf_registration.common.result import Reason, Refusal
 from gsdf_registration.registration.acceptance import (
     CLEAR_INLIERS,
     acceptance_message,
-    error_limits,
     rejection_reasons,
 )
 from gsdf_registration.registration.candidate import Candidate
@@ -130,38 +129,30 @@ def test_the_solver_must_converge() -> None:
     assert refusal.message.startswith('the solver did not converge: 40 iterations; ')
 
 
-@pytest.mark.parametrize(('limit', 'part', 'where'), [
-    ('max_predicted_tre', 0, 'around the touched area'),
-    ('max_bone_tre', 1, 'over the whole bone')])
-def test_the_predicted_tre_is_limited(limit: str, part: int, where: str) -> None:
+@pytest.mark.parametrize(('require', 'where'), [
+    ('touched', 'around the touched area'), ('bone', 'over the whole bone')])
+def test_the_error_is_limited_where_it_is_required(require: str, where: str) -> None:
     candidate = accepted()
-    assert candidate.weakest_direction is not None
-    touched = rigid.transform(candidate.solution.T_bone_tracker, POINTS[candidate.inlier])
-    rows = error_limits(touched, bone_field(), Config())[part].rows
-    error = rigid.rms(candidate.surface_tre[rows])
-    limits = {'max_predicted_tre': 1.0, 'max_bone_tre': 1.0}
-    refusal, = rejected_by(candidate, **{**limits, limit: 0.999 * error})
+    assert candidate.weakest_direction is not None and candidate.zone is not None
+    error = {'touched': candidate.zone.touched_p95_m, 'bone': candidate.zone.bone_p95_m}[require]
+    refusal, = rejected_by(candidate, require=require, max_error=0.999 * error)
     assert refusal.reason is Reason.UNDER_CONSTRAINED
-    assert f'the expected error {where}' in refusal.message
+    assert f'the error {where} may be ' in refusal.message
     assert candidate.weakest_direction.sentence in refusal.message
     assert refusal.advice in refusal.message and len(refusal.next_touches) == 3
-    assert reasons(candidate, **{**limits, limit: 1.001 * error}) == []
+    assert reasons(candidate, require=require, max_error=1.001 * error) == []
 
 
 def test_with_targets_only_their_error_is_limited() -> None:
     target = np.array([0.0, 0.0, 0.06])
-    config = Config.from_flat({'targets.names': ['tip'], 'targets.positions': target.tolist(),
-                               'limits.max_bone_tre': 1e-5})
-    part, = error_limits(touched_points(10), bone_field(), config)
-    np.testing.assert_array_equal(part.targets, target[None])
-    assert (part.where, part.limit) == ('at the targets', config.limits.max_predicted_tre)
-    confidence = accepted().confidence
-    assert confidence is not None
-    error = float(confidence.predicted_tre(target[None])[0])
+    config = Config.from_flat({'targets.names': ['tip'], 'targets.positions': target.tolist()})
+    candidate = find_candidate(POINTS, bone_field(), config, [T_BONE_TRACKER])
+    assert candidate.zone is not None
+    error = candidate.zone.p95_m['tip']
 
     def rejected(limit: float) -> list[Refusal]:
-        limited = config.replaced({'limits.max_predicted_tre': limit})
-        return list(rejection_reasons(accepted(), POINTS, bone_field(), limited))
+        limited = config.replaced({'limits.max_error': limit})
+        return list(rejection_reasons(candidate, POINTS, bone_field(), limited))
 
     assert rejected(1.001 * error) == []
     assert 'at the targets' in rejected(0.999 * error)[0].message
@@ -170,7 +161,7 @@ def test_with_targets_only_their_error_is_limited() -> None:
 def test_the_most_severe_reason_comes_first() -> None:
     bad = with_confidence(with_inliers(accepted(), 29), sigma=0.003, residual_correlation=9.0)
     bad = with_solution(with_alternative(bad, 0.0), converged=False)
-    assert reasons(bad, min_extent=1.0, max_predicted_tre=1e-5) == [
+    assert reasons(bad, min_extent=1.0, max_error=1e-5) == [
         Reason.TOO_FEW_INLIERS, Reason.TOO_FEW_POINTS, Reason.REGION_TOO_SMALL,
         Reason.MODEL_MISMATCH, Reason.MODEL_MISMATCH, Reason.AMBIGUOUS, Reason.NOT_CONVERGED,
         Reason.UNDER_CONSTRAINED]
@@ -180,7 +171,7 @@ def test_reasons_are_computed_on_request(monkeypatch: pytest.MonkeyPatch) -> Non
     def unexpected(*_: Any) -> None:
         raise AssertionError('computed the next touches for a reason that was not requested')
     monkeypatch.setattr('gsdf_registration.registration.acceptance.next_touches', unexpected)
-    loose = Config.from_flat({'limits.max_predicted_tre': 1e-5, 'limits.min_extent': 1.0})
+    loose = Config.from_flat({'limits.max_error': 1e-5, 'limits.min_extent': 1.0})
     first = next(rejection_reasons(accepted(), POINTS, bone_field(), loose))
     assert first.reason is Reason.REGION_TOO_SMALL
 
@@ -194,8 +185,9 @@ def test_the_acceptance_message_names_points_error_and_weakest_direction() -> No
     assert candidate.weakest_direction is not None
     error = f'{1e3 * candidate.predicted_tre_m["rms"]:.1f} mm'
     assert message(model_sd=0.0) == (
-        f'pose found from {candidate.inliers} of 400 points; expected error {error} (RMS) over '
-        f'the bone; {candidate.weakest_direction.sentence}')
+        f'pose found from {candidate.inliers} of 400 points; accurate to 2.0 mm (95 %) on the '
+        f'whole bone; expected error {error} (RMS) over the bone; '
+        f'{candidate.weakest_direction.sentence}')
     assert 'error of the model or the tracker of 0.25 mm (SD)' in message(model_sd=2.5e-4)
 
 

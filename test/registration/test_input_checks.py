@@ -11,6 +11,7 @@ from smooth_bone import LANDMARKS, T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import LimitsConfig
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, Reason, Refusal
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.registration.input_checks import (
@@ -68,7 +69,7 @@ def test_a_marker_of_missing_values_is_not_finite() -> None:
 
 
 def test_a_pose_takes_precedence_over_landmarks() -> None:
-    landmarks = (LANDMARKS, rigid.transform(T_TRACKER_BONE, LANDMARKS))
+    landmarks = Landmarks.of(LANDMARKS, rigid.transform(T_TRACKER_BONE, LANDMARKS))
     assert initial_guess(None, None) is None
     np.testing.assert_allclose(initial_guess(landmarks, None), rigid.inverse(T_TRACKER_BONE),
                                atol=1e-12)

@@ -54,7 +54,7 @@ def test_declares_and_describes_every_setting(client: Client) -> None:
         assert [(r.from_value, r.to_value) for r in ranges] == (
             [] if about['low'] is None else [(about['low'], about['high'])]), name
         kind = {bool: 1, int: 2, float: 3, str: 4}.get(type(Config().flat()[name]))
-        assert descriptor.type == (kind or (8 if name.endswith('positions') else 9)), name
+        assert descriptor.type == (kind or (8 if setting.metadata['items'] is float else 9)), name
 
 
 @pytest.mark.parametrize('parameter, reason', [
@@ -166,7 +166,7 @@ def test_replaces_the_bone_while_points_are_collected(start_node: StartNode,
     hip, femur = (BAG.parent / f'{name}.ply' for name in ('hip', 'femur'))
     node = start_node('reloaded', **parameters | {
         'model.path': femur, 'probe.topics': ['/probe/tip'], 'collect.automatic': 'true',
-        'limits.max_bone_tre': '0.01'})
+        'limits.max_error': '0.01'})
     with Client(node) as client:
         client.await_state('active')
         tracker = Tracker(client, topics=['/probe/tip'])

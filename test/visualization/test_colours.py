@@ -32,7 +32,7 @@ def test_points_that_are_not_inliers_are_grey() -> None:
 
 
 def test_the_bone_darkens_with_the_expected_error() -> None:
-    limits = LimitsConfig(max_predicted_tre=0.5)
+    limits = LimitsConfig(max_error=0.5)
     shades = colours.error_colours(np.linspace(0.0, 1.0, 20), limits)
     assert (np.diff(lightness(shades)) < 0.0).all()
     assert lightness(shades[:1])[0] > 5.0 * lightness(shades[-1:])[0]
