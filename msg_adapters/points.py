@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsdf_registration.common.formatting import format_count
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from msg_adapters import ndi
@@ -27,14 +27,6 @@ MESHES = ('.stl', '.ply', '.obj', '.off')
 TEXTS = ('.csv', '.txt', '.xyz')
 XYZ = ('x', 'y', 'z')
 NORMAL = ('nx', 'ny', 'nz')
-
-
-class Landmarks(NamedTuple):
-    """Names, positions in the bone frame and touched points in the tracker frame, (k, 3) m."""
-
-    names: list[str]
-    model: Array
-    tracker: Array
 
 
 def read_model(path: str | os.PathLike[str],
@@ -187,7 +179,9 @@ def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> 
     """
     Read pairs of landmarks from CSV.
 
-    The header is ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``.
+    The header is ``name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z``, and optionally
+    ``sigma``, the standard deviation of a landmark along each axis, in the unit of the tracker; 0
+    or an empty field: not known.
 
     Parameters
     ----------
@@ -204,8 +198,8 @@ def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> 
     Raises
     ------
     InputError
-        If a column is missing, a number is missing or not finite, a name is duplicate, or there are
-        no rows.
+        If a column is missing, a number is missing or not finite, a standard deviation is negative,
+        a name is duplicate, or there are no rows.
 
     """
     model_names, tracker_names = ([f'{side}_{axis}' for axis in XYZ]
@@ -223,4 +217,17 @@ def read_landmarks(path: str | os.PathLike[str], model_unit: str, unit: str) -> 
         raise InputError(f'{path}: the landmark {duplicate!r} is not unique')
     model, tracker = (np.column_stack([_finite(table, name) for name in side])
                       for side in (model_names, tracker_names))
-    return Landmarks(names, model * unit_scale(model_unit), tracker * unit_scale(unit))
+    return Landmarks(tuple(names), model * unit_scale(model_unit), tracker * unit_scale(unit),
+                     _sigmas(table) * unit_scale(unit))
+
+
+def _sigmas(table: Table) -> Array:
+    """Return the column of standard deviations (k,) of a table of landmarks; zeros without it."""
+    if 'sigma' not in table.columns:
+        return np.zeros(len(table.rows))
+    sigmas = np.nan_to_num(table.numbers('sigma')[:, 0], nan=0.0, posinf=np.inf)
+    bad = np.flatnonzero(~(np.isfinite(sigmas) & (sigmas >= 0.0)))
+    if len(bad):
+        raise InputError(f'{table.path}, line {table.lines[bad[0]]}: the sigma of a landmark must '
+                         'be 0 or empty (not known), or a positive number')
+    return sigmas

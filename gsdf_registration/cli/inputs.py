@@ -13,9 +13,9 @@ from gsdf_registration.common.result import InputError, Reason, Refusal
 
 if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
+    from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
-    from gsdf_registration.session import LandmarkPairs
     from msg_adapters.recording import Recording
 
 
@@ -101,14 +101,17 @@ def read_initial(path: str | None) -> Array | None:
     return orthonormalized(T)
 
 
-def read_landmark_pairs(path: str | None, model_unit: str, unit: str) -> LandmarkPairs | None:
-    """Return model and tracker positions, m, of a landmark CSV in these units or a truth YAML."""
+def read_landmark_file(path: str | None, model_unit: str, unit: str) -> Landmarks | None:
+    """Return the landmarks of a CSV in these units, or of a truth YAML."""
     if path is None:
         return None
+    from gsdf_registration.common.landmarks import Landmarks
     from msg_adapters.points import read_landmarks
     from msg_adapters.truth import read_truth
     if Path(path).suffix.lower() in ('.yaml', '.yml'):
         truth = read_truth(path)
-        return truth.landmarks_model, truth.landmarks_tracker
-    landmarks = read_landmarks(path, model_unit, unit)
-    return landmarks.model, landmarks.tracker
+        if not truth.landmark_names:
+            raise InputError(f'{path} has no landmarks')
+        return Landmarks.of(truth.landmarks_model, truth.landmarks_tracker,
+                            names=truth.landmark_names)
+    return read_landmarks(path, model_unit, unit)

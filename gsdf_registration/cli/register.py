@@ -15,9 +15,9 @@ from gsdf_registration.common.result import Refusal, RegistrationResult
 
 if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
+    from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
-    from gsdf_registration.session import LandmarkPairs
     from msg_adapters.recording import Recording
 
 
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     inputs.prepare_kernels(config)
     started = time.perf_counter()
     T_tracker_bone = inputs.read_initial(args.initial)
-    landmarks = inputs.read_landmark_pairs(args.landmarks, config.model.unit, args.unit)
+    landmarks = inputs.read_landmark_file(args.landmarks, config.model.unit, args.unit)
     recording = read_points(args.points, args.unit)
     field = inputs.field_or_refusal(config)
     loaded = time.perf_counter()
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def register_recording(
-        recording: Recording, field: Field, config: Config, landmarks: LandmarkPairs | None,
+        recording: Recording, field: Field, config: Config, landmarks: Landmarks | None,
         T_tracker_bone: Array | None) -> tuple[RegistrationResult, Array, dict[str, int]]:
     """
     Register the points of a file: through a session, as in the node, if they have stamps.

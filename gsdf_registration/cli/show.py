@@ -75,7 +75,7 @@ def _read_points(args: argparse.Namespace, field: Field,
     """Return the points, and the initial guess T_bone_tracker (4, 4), m, if there is one."""
     import numpy as np
 
-    from gsdf_registration.common.samples import Points
+    from gsdf_registration.common.samples import without_tools
     from gsdf_registration.registration.input_checks import initial_guess
     from gsdf_registration.session import Session
     from gsdf_registration.session.replay import collected
@@ -83,7 +83,7 @@ def _read_points(args: argparse.Namespace, field: Field,
     from msg_adapters.session_file import read_session
 
     path, T_tracker_bone = Path(args.points), inputs.read_initial(args.initial)
-    landmarks = inputs.read_landmark_pairs(args.landmarks, config.model.unit, args.unit or 'm')
+    landmarks = inputs.read_landmark_file(args.landmarks, config.model.unit, args.unit or 'm')
     if path.suffix.lower() == '.json':
         session = Session(config, field)
         session.restore(read_session(path))
@@ -99,5 +99,5 @@ def _read_points(args: argparse.Namespace, field: Field,
         positions = read_points(path, args.unit).positions
         positions = positions[np.isfinite(positions).all(axis=1)]
         zeros = np.zeros(len(positions), np.int32)
-        points = Points(positions, zeros.astype(np.float64), zeros, zeros)
+        points = without_tools(positions, zeros.astype(np.float64), zeros, zeros)
     return points, initial_guess(landmarks, T_tracker_bone)

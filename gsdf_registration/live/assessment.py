@@ -19,6 +19,7 @@ from gsdf_registration.live.warm_pose import WarmPose
 from gsdf_registration.registration.acceptance import rejection_reasons
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
+from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.input_checks import check_points
 from gsdf_registration.registration.pipeline import find_candidates
 from gsdf_registration.registration.point_selection import (
@@ -94,6 +95,7 @@ def assess_all_points(points: Points,
                       previous: Solution | None = None,
                       search_threshold: float = 0,
                       guess: Array | None = None,
+                      evidence: Evidence = Evidence(),
                       previous_reasons: tuple[Refusal, ...] = (),
                       cancelled: Callable[[], bool] = lambda: False) -> FullAssessment:
     """
@@ -110,6 +112,8 @@ def assess_all_points(points: Points,
         The bone is searched if at least this number of points are on strokes.
     guess : (4, 4) float, optional
         T_bone_tracker; the search starts here.
+    evidence : Evidence
+        What is known of the pose beside the points.
     previous_reasons : of Refusal
         Result if there is neither a search nor a pose to follow.
     cancelled : callable
@@ -130,7 +134,7 @@ def assess_all_points(points: Points,
     searched = selection.on_strokes >= search_threshold
     if searched:
         candidate, reasons = _search(points.positions[selection.rows], field, config, guess,
-                                     cancelled)
+                                     evidence, cancelled)
         pose = WarmPose(used, field, candidate.solution, config)
         pose.confidence = candidate.confidence
     elif previous is not None:
@@ -150,11 +154,12 @@ def assess_all_points(points: Points,
                    stroke_reports=tuple(report_strokes(points, residuals, weights)))
 
 
-def _search(points: Array, field: Field, config: Config, guess: Array | None,
+def _search(points: Array, field: Field, config: Config, guess: Array | None, evidence: Evidence,
             cancelled: Callable[[], bool]) -> tuple[Candidate, tuple[Refusal, ...]]:
     """Run the pipeline like `register`, on one thread: the other cores receive points."""
     config = config.replaced({'search.threads': 1})
-    for candidate in find_candidates(points, field, config, guess, cancelled=cancelled):
+    for candidate in find_candidates(points, field, config, guess, evidence,
+                                     cancelled=cancelled):
         reasons = tuple(rejection_reasons(candidate, points, field, config))
         if {each.reason for each in reasons} <= TOLERATED_AFTER_SEARCH:
             break

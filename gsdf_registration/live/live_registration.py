@@ -21,10 +21,11 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.formatting import format_error
 from gsdf_registration.common.result import Reason
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import Points
+from gsdf_registration.common.samples import Points, without_tools
 from gsdf_registration.field import Field
 from gsdf_registration.live.assessment import FullAssessment, assess_all_points
 from gsdf_registration.live.warm_pose import WarmPose
+from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.stroke_report import StrokeReport
 from gsdf_registration.solver import Solution
 
@@ -141,7 +142,8 @@ class LiveRegistration:
             self._pose.add(new)
         return self._trusted_pose()
 
-    def assessment_job(self, search: bool = True, guess: Array | None = None) -> AssessmentJob:
+    def assessment_job(self, search: bool = True, guess: Array | None = None,
+                       evidence: Evidence = Evidence()) -> AssessmentJob:
         """
         Return a full assessment of the current points, ready to run; `accept` takes its result.
 
@@ -151,6 +153,8 @@ class LiveRegistration:
             Whether to search the bone if that is due, see `search_due`.
         guess : (4, 4) float, optional
             T_bone_tracker; the search starts here.
+        evidence : Evidence
+            What is known of the pose beside the points.
 
         """
         self._assessed_revision = self.revision
@@ -163,7 +167,7 @@ class LiveRegistration:
 
         def job(cancelled: Callable[[], bool]) -> FullAssessment:
             return assess_all_points(points, field, config, previous=previous, guess=guess,
-                                     search_threshold=threshold, previous_reasons=reasons,
+                                     evidence=evidence, search_threshold=threshold, previous_reasons=reasons,
                                      cancelled=cancelled)
         return job
 
@@ -249,7 +253,7 @@ class LiveRegistration:
 
 
 def _no_points() -> Points:
-    return Points(np.zeros((0, 3)), np.zeros(0), *np.zeros((2, 0), np.int32))
+    return without_tools(np.zeros((0, 3)), np.zeros(0), *np.zeros((2, 0), np.int32))
 
 
 def _reasons(assessment: FullAssessment) -> set[Reason]:

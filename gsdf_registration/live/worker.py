@@ -16,6 +16,7 @@ from time import monotonic
 from typing import Protocol
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import Cancelled, Refusal, RegistrationResult
 from gsdf_registration.common.rigid import Array, inverse
 from gsdf_registration.common.samples import Points
@@ -27,7 +28,9 @@ from gsdf_registration.live.live_registration import (
     LiveRegistration,
     LiveStatus,
 )
+from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.input_checks import initial_guess
+from gsdf_registration.registration.landmarks import MIN_LANDMARKS
 
 # Hz, of the live pose. A follow step takes about 1 ms, so this leaves the other threads their time;
 # points that arrive faster share a step.
@@ -70,8 +73,8 @@ class PointSource(Protocol):
     def points_since(self, revision: int, count: int) -> tuple[int, str, Points]:
         """Return the revision, the frame of the points, and the points from row ``count`` on."""
 
-    def landmarks(self) -> tuple[Array, Array] | None:
-        """Return captured landmarks: (k, 3) in the bone frame, (k, 3) in the tracker frame, m."""
+    def landmarks(self) -> Landmarks:
+        """Return the captured landmarks."""
 
     def initial_pose(self) -> Array | None:
         """Return T_tracker_bone (4, 4) to search around first; None: there is none."""
@@ -232,7 +235,8 @@ class LiveWorker:
         self._next_assessment = now + (2.0 if live.ready else 1.0) / ASSESSMENT_RATE
         self._cancel = threading.Event()
         search = now >= self._next_search and not self._source.solving
-        job = live.assessment_job(search, self._guess())
+        landmarks = self._source.landmarks()
+        job = live.assessment_job(search, self._guess(landmarks), Evidence(landmarks))
         self._assessing = self._pool.submit(self._assess, job, self._cancel)
         self._assessing.add_done_callback(lambda _: self.notify())
 
@@ -243,13 +247,13 @@ class LiveWorker:
             self._on_assessment(assessment)
         return assessment
 
-    def _guess(self) -> Array | None:
+    def _guess(self, landmarks: Landmarks) -> Array | None:
         """Return T_bone_tracker (4, 4) where a registration would start; None: anywhere."""
-        status, landmarks = self._source.status(), self._source.landmarks()
+        status = self._source.status()
         initial = self._source.initial_pose()
         if initial is not None:
             return inverse(initial)
-        if landmarks is not None:
+        if len(landmarks) >= MIN_LANDMARKS:
             try:
                 return initial_guess(landmarks, None)
             except Refusal:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import LimitsConfig
 from gsdf_registration.common.formatting import format_length
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, Reason, Refusal, as_numbers
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
@@ -68,22 +69,22 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
             'are needed; drag the probe over more of the bone')
 
 
-def initial_guess(landmarks: tuple[ArrayLike, ArrayLike] | None,
+def initial_guess(landmarks: Landmarks | None,
                   T_tracker_bone: ArrayLike | None) -> Array | None:
     """
     Return the pose T_bone_tracker (4, 4) to search around, or None without one.
 
     Parameters
     ----------
-    landmarks : (model (k, 3) in the bone frame, touched (k, 3) in the tracker frame), metres,
-        optional
+    landmarks : Landmarks, optional
     T_tracker_bone : (4, 4) float, metres, optional
         Takes precedence over the landmarks.
 
     Raises
     ------
     InputError
-        If it is not a rigid motion or the landmarks do not determine one.
+        If it is not a rigid motion, or if there are landmarks, none of which is a measurement,
+        that do not determine one.
 
     """
     if T_tracker_bone is not None:
@@ -92,4 +93,11 @@ def initial_guess(landmarks: tuple[ArrayLike, ArrayLike] | None,
             raise InputError(
                 'the initial pose is not a 4x4 rigid motion (rotation, translation in metres)')
         return rigid.inverse(T_tracker_bone)
-    return None if landmarks is None else rigid.inverse(pose_from_landmarks(*landmarks)[0])
+    if landmarks is None or not len(landmarks):
+        return None
+    try:
+        return rigid.inverse(pose_from_landmarks(landmarks.model, landmarks.touched)[0])
+    except InputError:
+        if len(landmarks.measured):     # a joint centre helps without an initial guess, too
+            return None
+        raise

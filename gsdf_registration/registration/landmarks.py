@@ -15,6 +15,7 @@ from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError, as_numbers
 from gsdf_registration.common.rigid import Array
 
+MIN_LANDMARKS = 3       # that determine a pose
 MIN_SEPARATION = 0.005  # m: landmarks nearer than the usual touch error cannot be distinguished
 MIN_SPREAD = 0.1        # width over length of the landmarks: below, they lie on a line
 # m: by touch errors of about 4 mm each, the distance of two landmarks is hardly ever off by more
@@ -56,7 +57,7 @@ def pose_from_landmarks(model: ArrayLike, tracker: ArrayLike) -> tuple[Array, fl
         raise InputError(
             'landmarks need one touched point for each model point; the arrays have the shapes '
             f'{model.shape} and {tracker.shape}')
-    if len(model) < 3:
+    if len(model) < MIN_LANDMARKS:
         raise InputError(f'{format_count(len(model), "landmark")} cannot determine a pose; '
                          'touch at least three')
     if not (np.isfinite(model).all() and np.isfinite(tracker).all()):

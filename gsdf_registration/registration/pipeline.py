@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import Reason, Refusal, RegistrationResult, as_numbers
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.acceptance import acceptance_message, rejection_reasons
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
+from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.input_checks import check_points, initial_guess
 from gsdf_registration.registration.point_selection import (
     PointSelection,
@@ -32,7 +34,8 @@ def register(points: ArrayLike,
              field: Field,
              config: Config = Config(),
              *,
-             landmarks: tuple[ArrayLike, ArrayLike] | None = None,
+             landmarks: Landmarks | tuple[ArrayLike, ArrayLike] | None = None,
+             air: ArrayLike | None = None,
              T_tracker_bone: ArrayLike | None = None,
              cancelled: Callable[[], bool] | None = None,
              progress: Callable[[float], None] | None = None,
@@ -47,9 +50,11 @@ def register(points: ArrayLike,
     field : Field
         Of the bone.
     config : Config
-    landmarks : (model (k, 3) in the bone frame, touched (k, 3) in the tracker frame), metres,
-        optional
-        For an initial guess.
+    landmarks : Landmarks, or (model (k, 3) in the bone frame, touched (k, 3) in the tracker frame),
+        metres, optional
+        Three or more give an initial guess.
+    air : (m, 3) float, metres, tracker frame, optional
+        Where the tip or the shaft has been while not on the bone.
     T_tracker_bone : (4, 4) float, metres, optional
         The initial guess itself.
     cancelled : callable, optional
@@ -71,11 +76,12 @@ def register(points: ArrayLike,
         points = as_numbers(points, 'points')
         received = len(points) if points.ndim else 0
         check_points(points, field, config.limits)
-        guess = initial_guess(landmarks, T_tracker_bone)
+        evidence = _evidence(landmarks, air)
+        guess = initial_guess(evidence.landmarks, T_tracker_bone)
         selection = select_points(points)
         chosen = points[selection.rows]
-        for candidate in find_candidates(chosen, field, config, guess, cancelled=cancelled,
-                                         progress=progress, history=history):
+        for candidate in find_candidates(chosen, field, config, guess, evidence,
+                                         cancelled=cancelled, progress=progress, history=history):
             refusal = next(rejection_reasons(candidate, chosen, field, config), None)
             if refusal is None:
                 break
@@ -105,10 +111,21 @@ def _with_points_left_out(result: RegistrationResult, candidate: Candidate, poin
     return replace(result, message=message, residuals_m=residuals, weights=weights)
 
 
+def _evidence(landmarks: Landmarks | tuple[ArrayLike, ArrayLike] | None,
+              air: ArrayLike | None) -> Evidence:
+    """Return the evidence given to `register`; raise `InputError` if it is not valid."""
+    if landmarks is None:
+        landmarks = NO_LANDMARKS
+    elif not isinstance(landmarks, Landmarks):
+        landmarks = Landmarks.of(*landmarks)
+    return Evidence(landmarks, np.zeros((0, 3)) if air is None else as_numbers(air, 'air'))
+
+
 def find_candidates(points: Array,
                     field: Field,
                     config: Config,
                     guess: Array | None,
+                    evidence: Evidence = Evidence(),
                     *,
                     cancelled: Callable[[], bool] | None = None,
                     progress: Callable[[float], None] | None = None,
@@ -120,7 +137,7 @@ def find_candidates(points: Array,
     first; the other parameters are as in `find_candidate`.
     """
     for starts in ([],) if guess is None else ([guess], []):
-        yield find_candidate(points, field, config, starts, cancelled=cancelled,
+        yield find_candidate(points, field, config, starts, evidence, cancelled=cancelled,
                              progress=progress, history=history)
 
 
@@ -128,6 +145,7 @@ def find_candidate(points: Array,
                    field: Field,
                    config: Config,
                    starts: Sequence[Array] = (),
+                   evidence: Evidence = Evidence(),
                    *,
                    cancelled: Callable[[], bool] | None = None,
                    progress: Callable[[float], None] | None = None,
@@ -144,6 +162,8 @@ def find_candidate(points: Array,
     starts : sequence of (4, 4) float, T_bone_tracker, metres
         Poses to solve from in addition to those that the search finds. The search covers the
         surroundings of the first one, or the whole bone if there is none.
+    evidence : Evidence
+        What is known of the pose beside the points.
     cancelled, progress, history
         As in `register`.
 
@@ -157,7 +177,7 @@ def find_candidate(points: Array,
                              cancelled, progress)
     searched = perf_counter()
     solutions = solve_all(points, field, [*starts, *found], config, history, cancelled)
-    selected = select_pose(solutions, points, field, config.solver)
+    selected = select_pose(solutions, points, field, config.solver, evidence)
     confidence = assess_at(selected.solution, points, field, config.solver)
     timing_s = {'search': searched - started, 'solve': perf_counter() - searched}
     return assess_candidate(selected, confidence, points, field, config, timing_s)

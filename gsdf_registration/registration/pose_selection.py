@@ -18,6 +18,7 @@ from gsdf_registration.common.config import Config, SolverConfig
 from gsdf_registration.common.result import Cancelled
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
+from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.search.consensus import POSE_ERROR, consensus
 from gsdf_registration.solver import (
     Solution,
@@ -76,7 +77,7 @@ class SelectedPose:
 
 
 def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
-                config: SolverConfig) -> SelectedPose:
+                config: SolverConfig, evidence: Evidence = Evidence()) -> SelectedPose:
     """
     Return the solution of the highest rank, with the other local minima as alternatives.
 
@@ -89,6 +90,8 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
     points : (n, 3) float64, metres, tracker frame
     field : Field
     config : SolverConfig
+    evidence : Evidence
+        What is known of the pose beside the points.
 
     """
     best = max(solutions, key=lambda solution: solution.rank)
@@ -97,7 +100,8 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
     neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
     local_sd = max(_local_sd(best, neighbours), 0.01 * field.voxel_size)
     # the same measures for all solutions: the likelihood of the local means and a robust cost
-    likelihood = [patch_likelihood(e, neighbours, local_sd) for e in residuals]
+    likelihood = [patch_likelihood(e, neighbours, local_sd) + evidence.log_likelihood(T, field)
+                  for T, e in zip(poses, residuals)]
     cost = [(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals]
     minima, alternatives, apart = [poses[0]], [], _distance_of_poses(points)
     for k in np.argsort(likelihood, kind='stable')[::-1]:

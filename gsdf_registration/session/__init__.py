@@ -3,10 +3,9 @@
 
 from gsdf_registration.session.session import (
     Answer,
-    LandmarkPairs,
     Session,
     Status,
     restart_notice,
 )
 
-__all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status', 'restart_notice']
+__all__ = ['Answer', 'Session', 'Status', 'restart_notice']

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from gsdf_registration.common.config import LandmarksConfig
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, transform
-from gsdf_registration.registration.landmarks import disagreement
+from gsdf_registration.registration.landmarks import MIN_LANDMARKS, disagreement
 from gsdf_registration.session.stationary_tip import StationaryTip, StationaryTipDetector
 
 MISPLACED = 0.015       # m; a landmark touched this far from its place was probably another one
@@ -65,13 +66,18 @@ class LandmarkCapture:
         return [name for name in config.names if name not in captured]
 
     @property
-    def pairs(self) -> tuple[Array, Array] | None:
-        """Model and tracker positions, (k, 3) each, m; None while there are fewer than three."""
-        return None if len(self.captured) < 3 else self._pairs()
+    def landmarks(self) -> Landmarks:
+        """The captured landmarks."""
+        return Landmarks(tuple(each.name for each in self.captured),
+                         np.reshape([each.model for each in self.captured], (-1, 3)),
+                         np.reshape([each.tracker for each in self.captured], (-1, 3)),
+                         np.zeros(len(self.captured)))
 
-    def _pairs(self) -> tuple[Array, Array]:
-        return (np.array([landmark.model for landmark in self.captured]),
-                np.array([landmark.tracker for landmark in self.captured]))
+    @property
+    def usable(self) -> Landmarks:
+        """Those that say something of the pose: fewer than three must be measurements."""
+        found = self.landmarks
+        return found if len(found) >= MIN_LANDMARKS else found.measured
 
     def capture(self, detector: StationaryTipDetector, config: LandmarksConfig,
                 now: float | None) -> tuple[Answer, StationaryTip | None]:
@@ -97,7 +103,8 @@ class LandmarkCapture:
         self.captured.append(
             CapturedLandmark(name, model, tip.position, tip.spread_rms, tip.stamp))
         following = f'next is "{remaining[1]}"' if len(remaining) > 1 else 'this was the last one'
-        warning = disagreement([each.name for each in self.captured], *self._pairs())
+        captured = self.landmarks
+        warning = disagreement(captured.names, captured.model, captured.touched)
         return Answer(True, '; '.join(filter(None, (
             f'landmark "{name}" captured from {tip.samples} samples, spread '
             f'{1e3 * tip.spread_rms:.2f} mm RMS', warning, following))), (name, tip)), tip

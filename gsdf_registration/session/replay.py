@@ -11,11 +11,12 @@ import logging
 from typing import Any
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Sample
 from gsdf_registration.field import Field
-from gsdf_registration.session import LandmarkPairs, Session, restart_notice
+from gsdf_registration.session import Session, restart_notice
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters.recording import Recording
@@ -24,7 +25,7 @@ _log = logging.getLogger('gsdf_registration')
 
 
 def replay(recording: Recording, field: Field, config: Config | None = None,
-           landmarks: LandmarkPairs | None = None,
+           landmarks: Landmarks | None = None,
            T_tracker_bone: Array | None = None) -> tuple[RegistrationResult, Session]:
     """
     Collect every point of a recording in order, then register.
@@ -38,8 +39,7 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
         ``reference.topic`` its `Recording.transforms` must contain the poses of the array.
     field : Field
     config : Config, optional
-    landmarks : ((k, 3), (k, 3)) float, optional
-        Model and tracker positions, m.
+    landmarks : Landmarks, optional
     T_tracker_bone : (4, 4) float, optional
         Start pose.
 

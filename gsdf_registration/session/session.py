@@ -15,6 +15,7 @@ from typing import Any
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.formatting import format_count, format_numbers
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points, Rejection, Sample
@@ -29,9 +30,7 @@ from gsdf_registration.session.record import SessionRecord
 from gsdf_registration.session.state import SessionState
 from gsdf_registration.session.status import Status, count_points, make_status
 
-__all__ = ['Answer', 'LandmarkPairs', 'Session', 'Status']
-
-LandmarkPairs = tuple[Array, Array]     # (k, 3) model, bone frame; (k, 3) tracker; m
+__all__ = ['Answer', 'Session', 'Status']
 
 
 class Session:
@@ -194,7 +193,7 @@ class Session:
         with self._lock:
             return self._state.capture_landmark(now)
 
-    def register(self, landmarks: LandmarkPairs | None = None, T_tracker_bone: Array | None = None,
+    def register(self, landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None,
                  cancelled: Callable[[], bool] | None = None,
                  progress: Callable[[float], None] | None = None) -> RegistrationResult:
         """
@@ -205,8 +204,8 @@ class Session:
 
         Parameters
         ----------
-        landmarks : ((k, 3), (k, 3)) float, optional
-            Model and tracker positions, m; by default the captured landmarks, if three or more.
+        landmarks : Landmarks, optional
+            By default the captured ones.
         T_tracker_bone : (4, 4) float, optional
             Start pose; by default the initial pose, see `set_initial_pose`.
         cancelled, progress : optional
@@ -225,7 +224,7 @@ class Session:
             points, serials = state.collection.points(), state.collection.serials()
             received, frame_id = state.collection.received, state.collection.frame_id or ''
             if landmarks is None:
-                landmarks = state.landmarks.pairs
+                landmarks = state.landmarks.usable
             if T_tracker_bone is None:
                 T_tracker_bone = state.guess
             unused = state.unused_initial_pose
@@ -344,10 +343,10 @@ class Session:
         with self._lock:
             return None if self._state.accepted is None else self._state.accepted.points
 
-    def landmarks(self) -> LandmarkPairs | None:
-        """Return the captured landmarks, if there are three or more."""
+    def landmarks(self) -> Landmarks:
+        """Return the captured landmarks that say something about the pose."""
         with self._lock:
-            return self._state.landmarks.pairs
+            return self._state.landmarks.usable
 
     def status(self) -> Status:
         """Return a snapshot for the operator."""

@@ -241,9 +241,9 @@ HEAD = 'name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z\n'
 
 def test_reads_landmarks_with_two_units(tmp_path):
     marks = read_landmarks(write(tmp_path / 'l.csv', HEAD + 'head,1,2,3,0.1,0.2,0.3\n'), 'mm', 'm')
-    assert marks.names == ['head']
+    assert marks.names == ('head',)
     np.testing.assert_allclose(marks.model, [[0.001, 0.002, 0.003]])
-    np.testing.assert_allclose(marks.tracker, [[0.1, 0.2, 0.3]])
+    np.testing.assert_allclose(marks.touched, [[0.1, 0.2, 0.3]])
 
 
 @pytest.mark.parametrize('text, words', [

@@ -51,9 +51,7 @@ def test_captures_landmarks_in_order_with_their_spread(field: Field) -> None:
     assert session.capture_landmark().message.endswith('this was the last one')
     assert 'all landmarks are captured' in session.capture_landmark().message
     taken = session.landmarks()
-    assert taken is not None
-    model, tracker = taken
-    assert np.array_equal(model, LANDMARKS) and np.abs(tracker - tip).max() < 2e-4
+    assert np.array_equal(taken.model, LANDMARKS) and np.abs(taken.touched - tip).max() < 2e-4
 
 
 def test_says_why_a_landmark_is_not_captured(field: Field) -> None:

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import angle_between, exp, inverse, transform
 from gsdf_registration.field import Field, build_field
@@ -58,8 +59,8 @@ def test_finds_the_true_pose_of_the_shipped_recordings(name: str, mesh: str,
     monkeypatch.setenv('GSDF_CACHE_DIR', str(tmp_path))
     recorded, truth = request.getfixturevalue(name)
     bone = load_model(str(request.getfixturevalue(mesh)), truth.model_unit)
-    pairs = (truth.landmarks_model, truth.landmarks_tracker)
-    (result, session), (again, _) = (replay(recorded, bone, landmarks=pairs) for _ in range(2))
+    touched = Landmarks.of(truth.landmarks_model, truth.landmarks_tracker)
+    (result, session), (again, _) = (replay(recorded, bone, landmarks=touched) for _ in range(2))
     assert result.success
     assert result.T_tracker_bone.tobytes() == again.T_tracker_bone.tobytes()
     assert result.covariance.tobytes() == again.covariance.tobytes()

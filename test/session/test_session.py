@@ -21,6 +21,7 @@ from session_fixtures import (
 )
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import transform
 from gsdf_registration.common.samples import Rejection
@@ -97,7 +98,8 @@ def test_registers_from_a_start_pose_or_landmarks(field: Field) -> None:
     session = Session(CONFIG, field)
     send(session, surface_points(field))
     assert session.register(T_tracker_bone=T_TRACKER_BONE).success
-    assert session.register(landmarks=(LANDMARKS, transform(T_TRACKER_BONE, LANDMARKS))).success
+    assert session.register(landmarks=Landmarks.of(
+        LANDMARKS, transform(T_TRACKER_BONE, LANDMARKS))).success
 
 
 def test_an_initial_pose_is_the_first_guess(field: Field, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of the pose beside the points on the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field as item
+
+import numpy as np
+
+from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.field import Field
+
+__all__ = ['Evidence', 'Landmarks']
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """
+    Landmarks and free space.
+
+    landmarks : Landmarks
+    air : (m, 3) float, m, tracker frame, where the tip or the shaft has been while not on the bone
+    """
+
+    landmarks: Landmarks = NO_LANDMARKS
+    air: Array = item(default_factory=lambda: np.zeros((0, 3)))
+
+    def log_likelihood(self, T_bone_tracker: Array, field: Field) -> float:
+        """Return the log-likelihood of a pose (4, 4), up to a constant."""
+        return 0.0
