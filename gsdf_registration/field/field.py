@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,9 @@ from gsdf_registration.field.sample import FieldArrays, sample_many
 class Field:
     """
     Signed distance to a bone and its gradient at any point, bone frame.
+
+    The distance is that to the surface on which the positions of the probe lie: the bone itself, or
+    for the centre of a ball tip the bone moved outward by the radius, see `for_tip`.
 
     arrays : FieldArrays, for the compiled kernels
     bone_sha256 : hash of the bone
@@ -48,15 +52,71 @@ class Field:
         return float(np.ptp(self.bounds, axis=0).max())
 
     @property
+    def tip_radius(self) -> float:
+        """Radius of the ball tip whose centre lies on the surface, m; 0: the bone itself."""
+        return self.arrays.offset
+
+    @property
     def nbytes(self) -> int:
         """Memory used by all arrays, bytes."""
         a = self.arrays
         return sum(array.nbytes for array in (a.block_of, a.nodes, self.surface_points,
                                               self.surface_normals, self.vertices, self.faces))
 
+    def for_tip(self, radius: float) -> Field:
+        """
+        Return the field for the centre of a ball tip, which shares all arrays.
+
+        The centre of a ball of radius r that touches the bone lies on {SDF = r}. The distance to
+        this surface is SDF - r outside the medial axis of the bone, and its gradient is that of the
+        SDF. The surface points, vertices, bounds and the hash stay those of the bone.
+
+        Parameters
+        ----------
+        radius : float, m
+            0: a tip without extent, whose field is that of the bone, also after another radius.
+
+        Raises
+        ------
+        InputError
+            If the radius is negative or not finite.
+
+        """
+        if not (math.isfinite(radius) and radius >= 0.0):
+            raise InputError(f'the radius of the probe tip must be 0 or a positive number of '
+                             f'metres, not {radius:g}')
+        return self.moved_outward(float(radius))
+
+    def moved_outward(self, offset: float) -> Field:
+        """Return the field of the bone moved outward by ``offset``, m; inward if negative."""
+        if offset == self.arrays.offset:
+            return self
+        return replace(self, arrays=self.arrays._replace(offset=offset))
+
+    def contacts(self, points: ArrayLike) -> Array:
+        """
+        Return where a ball tip touches the bone, or would touch it first.
+
+        Parameters
+        ----------
+        points : (n, 3) float, m, bone frame, centres of the ball; rows that are not finite are kept
+
+        Returns
+        -------
+        (n, 3) float64, m, the centres moved inward along the normal by the radius
+
+        """
+        contacts = np.array(points, dtype=np.float64)
+        if self.tip_radius != 0.0:
+            finite = np.isfinite(contacts).all(axis=1)
+            contacts[finite] -= self.tip_radius * self.sample(contacts[finite])[1]
+        return contacts
+
     def sample(self, points: ArrayLike) -> tuple[Array, Array]:
         """
         Return signed distance and unit gradient at points, which may be outside the grid.
+
+        For a ball tip the distance is negative where the ball penetrates the bone.
 
         Parameters
         ----------
@@ -64,7 +124,7 @@ class Field:
 
         Returns
         -------
-        distance : (n,) float64, m, negative inside the bone
+        distance : (n,) float64, m, negative inside the surface
         gradient : (n, 3) float64, outward
 
         Raises

@@ -45,6 +45,8 @@ class FieldArrays(NamedTuple):
     nodes : (m, 4) float32, the n blocks, each (NODES, NODES, NODES) in C order, then the coarse
         nodes (bx + 1, by + 1, bz + 1)
     first_coarse : int, row of the first coarse node, n * NODES**3
+    offset : float, m, subtracted from every distance: the surface is that of the bone, moved
+        outward by it
     """
 
     origin: Array
@@ -52,6 +54,7 @@ class FieldArrays(NamedTuple):
     block_of: np.ndarray[Any, np.dtype[np.int32]]
     nodes: np.ndarray[Any, np.dtype[np.float32]]
     first_coarse: int
+    offset: float = 0.0
 
 
 @inlined_kernel
@@ -114,8 +117,10 @@ def sample(field, x, y, z):
     bx, by, bz = field.block_of.shape
     if 0.0 <= px < bx and 0.0 <= py < by and 0.0 <= pz < bz:
         i, j, k = _u(px), _u(py), _u(pz)
-        return _sample_cell(field, i, j, k, px - i, py - j, pz - k)
-    return _sample_outside(field, px, py, pz)
+        d, gx, gy, gz = _sample_cell(field, i, j, k, px - i, py - j, pz - k)
+    else:
+        d, gx, gy, gz = _sample_outside(field, px, py, pz)
+    return d - field.offset, gx, gy, gz
 
 
 @kernel
@@ -157,7 +162,7 @@ def _find(x, shift, voxel, cells, n, cell, share):
 @kernel
 def _blend_batch(field, cell, share, n, value):
     """Fill ``value`` from the fine nodes; gradients are not normalized, zero without nodes."""
-    half, one = _f(0.5 * field.voxel), _f(1.0)
+    half, one, offset = _f(0.5 * field.voxel), _f(1.0), _f(field.offset)
     for k in range(n):
         i, j, m = _u(cell[0, k]), _u(cell[1, k]), _u(cell[2, k])
         inside = min(cell[0, k], cell[1, k], cell[2, k]) >= 0
@@ -171,7 +176,8 @@ def _blend_batch(field, cell, share, n, value):
         d, value[1, k], value[2, k], value[3, k], x, y, z = blend_nodes(
             field.nodes, at, _u(NODES * NODES), _u(NODES), u, v, w)
         # the same formula as in `_blend`
-        value[0, k] = d - half * (u * (one - u) * x + v * (one - v) * y + w * (one - w) * z)
+        d -= half * (u * (one - u) * x + v * (one - v) * y + w * (one - w) * z)
+        value[0, k] = d - offset
 
 
 @kernel

@@ -114,7 +114,7 @@ def _nearest(field, fine, x, y, z):
     gx, gy, gz = field.nodes[row, 1], field.nodes[row, 2], field.nodes[row, 3]
     d = field.nodes[row, 0] + (gx * (x - voxel * _f(i)) + gy * (y - voxel * _f(j))
                                + gz * (z - voxel * _f(k)))
-    return d, gx, gy, gz
+    return d - _f(field.offset), gx, gy, gz
 
 
 @reordered
