@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import hashlib
 import os
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -93,16 +94,36 @@ def open_file(path: str | os.PathLike[str], limit: int) -> BinaryIO:
                      f'{limit / 1e6:.0f} MB')
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a UTF-8 file, with or without a byte order mark."""
+def read_text(path: str | os.PathLike[str], legacy: str = '') -> str:
+    """
+    Return the text of a file in UTF-8 or, with a byte order mark, UTF-16; lines end with a newline.
+
+    ``legacy`` is the encoding of files that are neither, if they can be anything else.
+    """
     path = readable_file(path)
     try:
-        return path.read_text(encoding='utf-8-sig')
+        content = path.read_bytes()
+        marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = _decoded(content, ['utf-16'] if marked else
+                        ['utf-8-sig', legacy] if legacy else ['utf-8-sig'])
     except UnicodeDecodeError:
         raise InputError(
             f'{path} is not UTF-8 text; save it as plain text or CSV (UTF-8)') from None
     except OSError as error:
         raise InputError(f'{path} cannot be read: {_cause(error)}') from None
+    return text.replace('\r\n', '\n').replace('\r', '\n')
+
+
+def _decoded(content: bytes, encodings: Sequence[str]) -> str:
+    """Return the text in the first encoding that is valid; a null byte is in no text."""
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if '\0' not in text:
+            return text
+    raise UnicodeDecodeError(encodings[0], content, 0, 1, 'not text')
 
 
 def describe_error(error: Exception) -> str:
@@ -124,12 +145,13 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
     return digest.hexdigest()
 
 
-def write_atomically(path: str | os.PathLike[str], content: str | bytes,
+def write_atomically(path: str | os.PathLike[str], content: str | bytes | Iterable[bytes],
                      before: Callable[[], None] = lambda: None) -> None:
     """
     Replace a file so that a reader or a crash sees the old or the new content, never a part.
 
-    Text is encoded as UTF-8.  The file keeps its permissions; a new one can be read by everybody.
+    Text is encoded as UTF-8, blocks are written one by one.  The file keeps its permissions; a new
+    one can be read by everybody.
 
     Parameters
     ----------
@@ -155,7 +177,8 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes,
         # in the same directory: a rename is atomic only within one file system
         handle, temporary = tempfile.mkstemp(prefix=f'.{path.name[:64]}.', dir=path.parent)
         with os.fdopen(handle, 'wb') as file:
-            file.write(content.encode() if isinstance(content, str) else content)
+            text = content.encode() if isinstance(content, str) else content
+            file.writelines([text] if isinstance(text, bytes) else text)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, mode)

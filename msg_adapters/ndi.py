@@ -1,78 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Read tracker recordings of the NDI Track software (CSV, millimetres).
+Read the tools of NDI tracker recordings (CSV, millimetres).
 
-Each line is a frame: the number of tools, then a block for each tool that starts with its label,
-``Port ...,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers`` (or Q0,Qx,Qy,Qz instead of
-the angles). Optical trackers append State,Tx,Ty,Tz of every marker. The length of a block can
-change from line to line, so that blocks are found by their labels.
+The tracker gives each sample a state; only samples with the state OK (or Enabled, in recordings of
+the Combined API) are used. A value that the tracker does not know is -3.7E+28.
 """
 
 from __future__ import annotations
 
-import csv
+import math
 import os
-from collections.abc import Collection
-from typing import NamedTuple
+import re
+from collections import Counter
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
-from msg_adapters.files import METRES, read_text
+from msg_adapters.files import METRES
+from msg_adapters.ndi_blocks import NEEDED, Block, BlockFile, is_ndi
 from msg_adapters.recording import Recording
 
-NEEDED = ('State', 'Tx', 'Ty', 'Tz')
+__all__ = ['TrackedTool', 'is_ndi', 'read_ndi', 'read_tool', 'read_tools', 'topic_of']
+
+TRACKED = ('ok', 'enabled')
+POSITION = ('Tx', 'Ty', 'Tz')
+QUATERNION = ('Qx', 'Qy', 'Qz', 'Q0')
+ANGLES = ('Rz', 'Ry', 'Rx')     # deg; the rotation is Rz Ry Rx
+UNKNOWN = 1e10                  # larger numbers stand for an unknown value
 
 
-class _Tool(NamedTuple):
-    """The block of a tool: label, start, name -> offset, number of columns of its markers."""
-
-    label: str
-    start: int
-    columns: dict[str, int]
-    extra: int
-
-
-class _Sample(NamedTuple):
-    """The values of a valid line, in the unit of the file, and its cells by column."""
-
-    position: list[float]
-    error: float
-    time: float | None
-    line: int
-    cells: dict[str, str]
-
-
-class TrackedTool(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class TrackedTool:
     """
-    The samples of a tool with State OK.
+    The samples of a tool with the state OK and a known position.
 
     label : port label
-    columns : names of the columns of its block
-    samples : at least one
-    stamps : (n,) float64, s, or None if no sample has a time
-    lost : number of lines without State OK
+    positions : (n, 3) float64, m
+    quaternions : (n, 4) float64, x y z w, NaN where unknown; None if the file has no orientations
+    errors : (n,) float64, m, NaN where unknown; None if the file has no Error column
+    stamps : (n,) float64, s; None if there are no times
+    dropped : number of lines without a usable sample, by cause
     """
 
     label: str
-    columns: Collection[str]
-    samples: list[_Sample]
-    stamps: Array | None
-    lost: int
+    positions: Array
+    quaternions: Array | None = None
+    errors: Array | None = None
+    stamps: Array | None = None
+    dropped: dict[str, int] = field(default_factory=dict)
 
-    def positions(self) -> Array:
-        """Return the positions (n, 3), m."""
-        return np.array([sample.position for sample in self.samples]) * METRES['mm']
-
-
-def is_ndi(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is an NDI tracker CSV, judged by its header."""
-    return _is_header(_cells(read_text(path).lstrip().partition('\n')[0]))
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.positions)
 
 
-def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording:
+def read_ndi(path: str | os.PathLike[str], tool: str | None = None,
+             rate: float | None = None) -> Recording:
     """
     Read the positions of one tool.
 
@@ -82,12 +69,15 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
         CSV file.
     tool : str, optional
         Part of the port label of the tool; not needed if the file has only one tool.
+    rate : float, optional
+        Frames per second of the Frame column, Hz, for files without times.
 
     Returns
     -------
     Recording
-        In m and s. Samples whose State is not OK are dropped and counted as 'tracking_state'. The
-        quality is the Error column. The stamps are None if the file has no times.
+        In m and s. Samples whose state is not OK are dropped and counted as 'tracking_state', and
+        those without a known position as 'not_finite'. The quality is the Error column. The stamps
+        are None if the file has no times.
 
     Raises
     ------
@@ -96,113 +86,165 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None) -> Recording
         missing or ambiguous, or it was never tracked.
 
     """
-    tracked = read_tool(path, tool)
-    errors = np.array([sample.error for sample in tracked.samples]) * METRES['mm']
-    return Recording(positions=tracked.positions(), stamps=tracked.stamps,
-                     source_names=[tracked.label],
-                     quality=errors if 'Error' in tracked.columns else None,
-                     dropped={'tracking_state': tracked.lost} if tracked.lost else {})
+    tracked = read_tool(path, tool, rate)
+    return Recording(positions=tracked.positions, stamps=tracked.stamps,
+                     source_names=[tracked.label], quality=tracked.errors, dropped=tracked.dropped)
 
 
-def read_tool(path: str | os.PathLike[str], wanted: str | None = None) -> TrackedTool:
-    """Return the valid samples of one tool; arguments and errors as in `read_ndi`."""
-    text = enumerate(read_text(path).splitlines(), start=1)
-    lines = [(number, _cells(line)) for number, line in text if line.strip()]
-    if not lines or not _is_header(lines[0][1]):
-        raise InputError(
-            f'{path} is not an NDI tracker CSV: its header is not Tools,...,{",".join(NEEDED)}')
-    tools = _tools(lines[0][1])
-    tool = _select_tool(path, tools, wanted)
-    labels = {each.label for each in tools}
-    samples, lost = [], 0
-    for number, cells in lines[1:]:
-        block = _block(cells, tool, labels)
-        state = tool.columns['State']
-        if len(block) <= state or block[state].upper() != 'OK':
-            lost += 1
-        else:
-            samples.append(_sample(f'{path}, line {number}', number, block, tool))
-    if not samples:
-        raise InputError(
-            f'{path}: {tool.label} was never tracked '
-            f'({format_count(lost, "line")}, none with State OK)')
-    return TrackedTool(tool.label, tool.columns, samples, _stamps(path, samples), lost)
+def read_tool(path: str | os.PathLike[str], wanted: str | None = None,
+              rate: float | None = None) -> TrackedTool:
+    """Return the samples of one tool; arguments and errors as in `read_ndi`."""
+    file = BlockFile(path)
+    tool = _tracked(file, _select(file, wanted), rate)
+    if not len(tool):
+        raise _never_tracked(path, [tool])
+    return tool
 
 
-def _cells(line: str) -> list[str]:
-    """Return the stripped cells of a line."""
-    return [cell.strip() for cell in next(csv.reader([line.strip()]), [''])]
-
-
-def _is_header(cells: list[str]) -> bool:
-    """Return whether a line is the header of an NDI tracker CSV."""
-    return cells[0] == 'Tools' and set(NEEDED) <= set(cells)
-
-
-def _tools(header: list[str]) -> list[_Tool]:
-    """Return the tools of a header; the label of a block precedes its Frame column."""
-    starts = [i - 1 for i, name in enumerate(header) if name == 'Frame' and i > 0] or [0]
-    tools = []
-    for start, end in zip(starts, [*starts[1:], len(header)]):
-        names = ['Time' if name.startswith('Time') else name for name in header[start:end]]
-        # the first of repeated names belongs to the tool, the others to its markers
-        columns = {name: names.index(name) for name in names if name}
-        tools.append(_Tool(header[start], start, columns, len(names) - len(columns)))
+def read_tools(path: str | os.PathLike[str], wanted: str | None = None,
+               rate: float | None = None) -> list[TrackedTool]:
+    """Return all tools, or the wanted one, also those never tracked; errors as in `read_ndi`."""
+    file = BlockFile(path)
+    labels = file.labels if wanted is None else [_select(file, wanted)]
+    tools = [_tracked(file, label, rate) for label in labels]
+    if not any(len(tool) for tool in tools):
+        raise _never_tracked(path, tools)
     return tools
 
 
-def _select_tool(path: str | os.PathLike[str], tools: list[_Tool], wanted: str | None) -> _Tool:
-    """Return the requested tool, or the only one."""
-    found = [tool for tool in tools if wanted is None or wanted.lower() in tool.label.lower()]
+def topic_of(label: str, others: list[str]) -> str:
+    """
+    Return the CRTK topic of the pose of a tool.
+
+    It is derived from its label without port, serial number and channel, if the name is then
+    unique among all labels (``others``): /probe_5d/measured_cp for
+    'Port 0x0A: PROBE-5D  s/n:00C0FFEE Channel:0'.
+    """
+    short = [_name(re.sub(r'^port \w+:|port:\w+|s/n:\S*|channel:\S*', '', each, flags=re.IGNORECASE)
+                   ) for each in others]
+    name = short[others.index(label)]
+    if not name or short.count(name) > 1:
+        name = _name(label)
+    return f'/{name}/measured_cp'
+
+
+def _name(label: str) -> str:
+    """Return a label as a ROS name, empty if it has no letters and digits."""
+    name = re.sub(r'[^a-z0-9]+', '_', label.lower()).strip('_')
+    return f'tool_{name}' if name[:1].isdigit() else name
+
+
+def _select(file: BlockFile, wanted: str | None) -> str:
+    """Return the label of the requested tool, or of the only one."""
+    found = [label for label in file.labels if wanted is None or wanted.lower() in label.lower()]
     if len(found) != 1:
         what = ('several tools' if wanted is None
                 else f'{len(found) or "no"} tools that match {wanted!r}')
-        raise InputError(
-            f'{path} has {what}; choose one of {"; ".join(tool.label for tool in tools)}')
-    if not set(NEEDED) <= set(found[0].columns):
-        raise InputError(f'{path}: {found[0].label} does not have all of the columns '
-                         f'{", ".join(NEEDED)}')
+        raise InputError(f'{file.path} has {what}; choose one with --tool: '
+                         f'{"; ".join(file.labels) or "it has none"}')
     return found[0]
 
 
-def _block(cells: list[str], tool: _Tool, labels: set[str]) -> list[str]:
-    """Return the cells of a tool in a line, empty if the line has only other tools."""
-    starts = [i for i, cell in enumerate(cells) if cell in labels]
-    if not starts:
-        return cells[tool.start:]
-    start = next((i for i in starts if cells[i] == tool.label), len(cells))
-    return cells[start:next((i for i in starts if i > start), len(cells))]
+def _tracked(file: BlockFile, label: str, rate: float | None) -> TrackedTool:
+    """Return the samples of a tool."""
+    columns = file.columns(label)
+    if not set(NEEDED) <= set(columns):
+        raise InputError(f'{file.path}: {label} does not have all of the columns '
+                         f'{", ".join(NEEDED)}')
+    turn = next((names for names in (QUATERNION, ANGLES) if set(names) <= set(columns)), ())
+    wanted = [*POSITION, *turn, *(['Error'] if 'Error' in columns else [])]
+    rows, kept, dropped = [], [], Counter[str]()
+    for block in file.blocks[label]:
+        if block.cells.get('State', '').replace(' ', '').lower() not in TRACKED:
+            dropped['tracking_state'] += 1
+            continue
+        if block.cut:
+            dropped['cut'] += 1
+            continue
+        row = _numbers(file, label, block, wanted)
+        if not all(map(math.isfinite, row[:3])):
+            dropped['not_finite'] += 1
+            continue
+        rows.append(row)
+        kept.append(block)
+    values = np.array(rows, dtype=np.float64).reshape(len(rows), len(wanted))
+    turns = values[:, 3:3 + len(turn)]
+    return TrackedTool(
+        label, values[:, :3] * METRES['mm'],
+        None if not turn else _quaternions(turns) if turn is ANGLES else turns,
+        values[:, -1] * METRES['mm'] if 'Error' in columns else None,
+        _stamps(file, kept, rate), dict(dropped))
 
 
-def _sample(where: str, number: int, block: list[str], tool: _Tool) -> _Sample:
-    """Return the numbers of a block with State OK."""
-    width = len(tool.columns)
-    while len(block) > width and not block[-1]:
-        block = block[:-1]
-    extra = len(block) - width
-    # markers have four cells each; anything else, such as decimal commas, shifts the columns
-    if extra not in (*range(0, tool.extra, 4), tool.extra):
+def _numbers(file: BlockFile, label: str, block: Block, names: list[str]) -> list[float]:
+    """Return the values of a block; NaN where the tracker does not know them."""
+    where = f'{file.path}, line {block.line}'
+    if block.excess:
+        width = len(file.columns(label)) + 1
         raise InputError(
-            f'{where}: has {format_count(len(block), "value")} for {tool.label} where {width} are '
-            'expected (numbers need a decimal point)')
-    cells = {name: block[i] for name, i in tool.columns.items()}
-    time = cells.get('Time', '')
+            f'{where}: has {format_count(width + block.excess, "value")} for {label} where {width} '
+            'are expected (numbers need a decimal point)')
+    row = []
+    for name in names:
+        cell = block.cells.get(name, '')
+        # the error and the orientation of a sensor may be unknown where its position is known
+        value = math.nan if not cell and name not in POSITION else _number(file, cell)
+        if value is None:
+            raise InputError(f'{where}: the state is OK but {name} is {cell!r}, which is not a '
+                             'number (numbers need a decimal point)')
+        row.append(value if abs(value) < UNKNOWN else math.nan)
+    return row
+
+
+def _number(file: BlockFile, cell: str) -> float | None:
+    """Return the number in a cell, None if there is none."""
+    # with commas between the cells, 1,234 can be a thousand as well
+    if file.separator != ',' and re.fullmatch(r'[-+]?\d*,\d+([eE][-+]?\d+)?', cell):
+        cell = cell.replace(',', '.')
     try:
-        position = [float(cells[name]) for name in ('Tx', 'Ty', 'Tz')]
-        return _Sample(position, float(cells.get('Error') or 'nan'),
-                       float(time) if time else None, number, cells)
+        return float(cell)
     except ValueError:
-        raise InputError(f'{where}: State is OK but Time, Tx, Ty, Tz or Error is not a '
-                         'number (numbers need a decimal point)') from None
-
-
-def _stamps(path: str | os.PathLike[str], samples: list[_Sample]) -> Array | None:
-    """Return the times, or None if no sample has a time."""
-    times = np.array([np.nan if sample.time is None else sample.time for sample in samples])
-    if all(sample.time is None for sample in samples):
         return None
-    if not np.isfinite(times).all():
-        line = samples[int(np.argmin(np.isfinite(times)))].line
-        raise InputError(
-            f'{path}, line {line}: the time is empty or not finite, but other lines have a time')
-    return times
+
+
+def _stamps(file: BlockFile, blocks: list[Block], rate: float | None) -> Array | None:
+    """Return the times, s, from the Time column or from the Frame column and its rate."""
+    if any(block.cells.get('Time') or block.cells.get('Seconds') for block in blocks):
+        if rate is not None:
+            raise InputError(f'{file.path} has times: omit --rate')
+        return _column(file, blocks, 'Time', 'the time is empty or not finite, but other lines '
+                       'have a time')
+    if rate is None:
+        return None
+    return _column(file, blocks, 'Frame', 'the frame number is missing, but --rate needs it') / rate
+
+
+def _column(file: BlockFile, blocks: list[Block], name: str, problem: str) -> Array:
+    """Return the finite values of a column; ``Time`` can be split into seconds and nanoseconds."""
+    values = []
+    for block in blocks:
+        value = _number(file, block.cells.get(name, ''))
+        if value is None and name == 'Time':
+            seconds, nanoseconds = (_number(file, block.cells.get(part, ''))
+                                    for part in ('Seconds', 'Nanoseconds'))
+            value = None if seconds is None else seconds + 1e-9 * (nanoseconds or 0.0)
+        if value is None or not math.isfinite(value):
+            raise InputError(f'{file.path}, line {block.line}: {problem}')
+        values.append(value)
+    return np.array(values)
+
+
+def _quaternions(angles: Array) -> Array:
+    """Return the quaternions x y z w (n, 4) of angles Rz Ry Rx (n, 3), deg; NaN if not finite."""
+    finite = np.asarray(np.isfinite(angles).all(axis=1))
+    quaternions = Rotation.from_euler('ZYX', np.where(finite[:, None], angles, 0.0),
+                                      degrees=True).as_quat()
+    quaternions[~finite] = np.nan
+    return np.asarray(quaternions)
+
+
+def _never_tracked(path: str | os.PathLike[str], tools: list[TrackedTool]) -> InputError:
+    names = ', '.join(tool.label for tool in tools)
+    lines = format_count(max(sum(tool.dropped.values()) for tool in tools), 'line')
+    return InputError(f'{path}: {names} was never tracked ({lines}, none with State OK and a '
+                      'position)')

@@ -24,8 +24,6 @@ from msg_adapters.table import Table, read_table
 POSITION = ('tx', 'ty', 'tz')
 ORIENTATION = ('qx', 'qy', 'qz', 'qw')
 TABLES = ('.csv', '.txt', '.tsv')
-NDI_QUATERNION = ('Qx', 'Qy', 'Qz', 'Q0')
-NDI_ANGLES = ('Rz', 'Ry', 'Rx')     # deg; the rotation is Rz Ry Rx
 
 # position and orientation of each message type
 POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
@@ -114,7 +112,7 @@ def _from_table(path: str | os.PathLike[str], unit: str) -> ToolPoses:
     if not table.rows:
         raise InputError(f'{path} has no poses')
     positions = table.numbers(*POSITION) * unit_scale(unit)
-    T, rejected = _poses(positions, table.numbers(*ORIENTATION))
+    T, rejected = to_poses(positions, table.numbers(*ORIENTATION))
     return ToolPoses(T, _times(table), Path(path).name, rejected)
 
 
@@ -125,30 +123,12 @@ def _times(table: Table) -> Array | None:
 
 def _from_ndi(path: str | os.PathLike[str], wanted: str | None) -> ToolPoses:
     tool = ndi.read_tool(path, wanted)
-    names = next((names for names in (NDI_QUATERNION, NDI_ANGLES)
-                  if set(names) <= set(tool.columns)), None)
-    if names is None:
+    if tool.quaternions is None:
         raise InputError(f'{path}: {tool.label} has no orientation (Q0,Qx,Qy,Qz or Rz,Ry,Rx)')
-    orientations = np.empty((len(tool.samples), len(names)))
-    for row, sample in zip(orientations, tool.samples):
-        try:
-            row[:] = [float(sample.cells[name]) for name in names]
-        except ValueError:
-            raise InputError(f'{path}, line {sample.line}: State is OK but {", ".join(names)} are '
-                             'not all numbers') from None
-    T, rejected = _poses(tool.positions(), _quaternions(orientations) if names is NDI_ANGLES
-                         else orientations)
-    rejected['tracking_state'] = tool.lost
+    T, rejected = to_poses(tool.positions, tool.quaternions)
+    for cause, count in tool.dropped.items():
+        rejected[cause] = rejected.get(cause, 0) + count
     return ToolPoses(T, tool.stamps, tool.label, rejected)
-
-
-def _quaternions(angles: Array) -> Array:
-    """Return the quaternions x y z w (n, 4) of angles Rz Ry Rx (n, 3), deg; NaN if not finite."""
-    finite = np.asarray(np.isfinite(angles).all(axis=1))
-    quaternions = Rotation.from_euler('ZYX', np.where(finite[:, None], angles, 0.0),
-                                      degrees=True).as_quat()
-    quaternions[~finite] = np.nan
-    return np.asarray(quaternions)
 
 
 def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> ToolPoses:
@@ -164,7 +144,7 @@ def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> To
         quaternions.append([turn.x, turn.y, turn.z, turn.w])
     if not times:
         raise InputError(f'{bag.path} has no messages on {topic.name}')
-    T, rejected = _poses(np.array(positions) * unit_scale(unit), np.array(quaternions))
+    T, rejected = to_poses(np.array(positions) * unit_scale(unit), np.array(quaternions))
     return ToolPoses(T, np.array(times), topic.name, rejected, tuple(bag.notes))
 
 
@@ -182,7 +162,7 @@ def _chosen_topic(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
                      + ('; choose one with --topic' if found else '') + f'; it has {there}')
 
 
-def _poses(positions: Array, quaternions: Array) -> tuple[Array, dict[str, int]]:
+def to_poses(positions: Array, quaternions: Array) -> tuple[Array, dict[str, int]]:
     """Return poses (n, 4, 4), NaN where invalid, and the number of invalid ones by cause."""
     with np.errstate(invalid='ignore', over='ignore'):
         lengths = np.linalg.norm(quaternions, axis=1)

@@ -222,8 +222,11 @@ def test_reads_or_rejects_other_files_of_points(tmp_path):
     np.testing.assert_allclose(cloud.positions, [[0.001, 0.002, 0.003], [0.004, 0.005, 0.006]])
     assert 'without faces' in refusal(read_points, export(tmp_path / 'a.ply'), 'mm')
     assert 'CSV, TXT or XYZ' in refusal(read_points, export(tmp_path / 'a.stl'), 'mm')
-    assert 'UTF-8' in refusal(read_points,
-                              write(tmp_path / 'u.csv', 'x,y,z\n1,2,3\n'.encode('utf-16')), 'mm')
+    utf16 = read_points(write(tmp_path / 'u.csv', 'x,y,z\r\n1,2,3\r\n'.encode('utf-16')), 'mm')
+    np.testing.assert_allclose(utf16.positions, [[0.001, 0.002, 0.003]])
+    unmarked = 'x,y,z\n1,2,3\n'.encode('utf-16-le')
+    for text in (unmarked, 'x,y,z\n1,2,3µ\n'.encode('latin-1')):
+        assert 'UTF-8' in refusal(read_points, write(tmp_path / 'u.csv', text), 'mm')
     assert 'does not exist' in refusal(read_points, tmp_path / 'none.csv', 'mm')
     assert 'inch' in refusal(read_points, write(tmp_path / 'p.csv', 'x,y,z\n1,2,3\n'), 'inch')
 
