@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Score an answer: its errors, their ratio to the Cramer-Rao bound, and whether it is wrong.
+Score an answer: its errors, their ratio to the Cramer-Rao bound, and the verdict.
 
 The bound is computed from the true positions and the true noise: no unbiased method has a smaller
 error.
@@ -11,20 +11,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scipy.special import erfc
 
 from benchmarks.protocol.trials import Problem
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.registration.confidence import Confidence, motion_at
-from gsdf_registration.registration.zone import map_error, required_part
+from gsdf_registration.registration.confidence import Confidence, error_bound
+from gsdf_registration.registration.zone import ErrorMap, map_error, required_part
 
-# an answer is wrong if its RMS TRE over the bone exceeds FAR, or MARGIN + FACTOR * predicted error
-FAR = 0.003         # m
-MARGIN = 0.001      # m
-FACTOR = 3.0
+MISPLACED = 0.005   # m, mean error where the bone was touched: the pose is in a wrong place
+# the error of a place is understated if it exceeds FACTOR * the stated 95 % error + MARGIN
+FACTOR, MARGIN = 2.0, 0.0005
 REACHABLE = 1.5     # times the bound can be reached under interference
 
 
@@ -134,34 +134,33 @@ def well_posed(problem: Problem, bound: Confidence | None, config: Config) -> bo
             and REACHABLE * share_of_limits(problem, bound, config) <= 1.0)
 
 
-def is_wrong(problem: Problem, tre_rms: float | None, predicted_rms: float | None) -> bool:
+def verdict(problem: Problem, result: RegistrationResult, config: Config) -> str:
     """
-    Return whether an accepted pose is wrong.
+    Return the verdict on an answer: right, refused, wrong or understated.
 
-    For a wrong bone, an object or noise every pose is wrong. Otherwise a pose is wrong if its
-    error exceeds 3 mm, or 1 mm + 3 times the predicted error; both RMS over the whole bone, m.
+    A pose is wrong if the points are of a wrong bone, of an object or noise, or if its mean error
+    where the bone was touched exceeds 5 mm. Its error is understated if a place of the part that
+    `limits.require` names is off by more than twice its stated 95 % error + 0.5 mm.
+
+    Parameters
+    ----------
+    problem : if its scenario is not wrong, its model is the bone that was touched
+    result : of its points with the settings ``config``
+
     """
-    if problem.trial.scenario.wrong or tre_rms is None:
-        return True
-    return tre_rms > _tolerated(predicted_rms or 0.0)
+    T_tracker_bone, covariance = result.T_tracker_bone, result.covariance
+    if T_tracker_bone is None or covariance is None:
+        return 'refused'
+    motion = rigid.inverse(T_tracker_bone) @ problem.recording.T_tracker_bone
+    if problem.trial.scenario.wrong or _moved(motion, problem.touched).mean() > MISPLACED:
+        return 'wrong'
+    surface = problem.field.surface_points.astype(np.float64)
+    stated = error_bound(T_tracker_bone, covariance, surface)
+    distance = cKDTree(problem.touched).query(surface)[0]
+    required = required_part(ErrorMap(surface, stated, distance, {}), config).points
+    allowed = FACTOR * error_bound(T_tracker_bone, covariance, required) + MARGIN
+    return 'understated' if (_moved(motion, required) > allowed).any() else 'right'
 
 
-def ideal_wrong(problem: Problem, bound: Confidence) -> float:
-    """
-    Return the probability that an ideal estimator, at the bound and consistent, is wrong.
-
-    Its squared RMS TRE is sum l_i z_i^2 with z_i standard normal and l_i the eigenvalues of the
-    bound in the metric mean B_q^T B_q of the bone. The tail over the largest l_i is computed
-    exactly, the other five are sampled.
-    """
-    B = motion_at(problem.field.surface_points - bound.centroid).reshape(-1, 6)
-    L = np.linalg.cholesky(3.0 * B.T @ B / len(B))
-    l_i = np.linalg.eigvalsh(L.T @ bound.motion_covariance @ L)
-    others = np.random.default_rng(0).normal(size=(2000, 5)) ** 2 @ l_i[:5]
-    rest = np.clip(_tolerated(float(np.sqrt(l_i.sum()))) ** 2 - others, 0.0, None)
-    return float(erfc(np.sqrt(rest / (2.0 * l_i[5]))).mean())
-
-
-def _tolerated(predicted_rms: float) -> float:
-    """Return the RMS TRE over the bone, m, above which an answer is wrong."""
-    return min(FAR, MARGIN + FACTOR * predicted_rms)
+def _moved(motion: Array, places: Array) -> Array:
+    return rigid.displacement(motion, np.eye(4), places)

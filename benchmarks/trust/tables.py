@@ -13,8 +13,8 @@ from benchmarks.execution.result_table import Row
 from benchmarks.protocol.trials import SCENARIOS
 from gsdf_registration.common.rigid import rms
 
-COLUMNS = ('scenario', 'trials', 'right', 'refused', 'wrong', 'found', 'efficiency', 'median',
-           'TRE', 'predicted', 'search', 'solve', 'refused for')
+COLUMNS = ('scenario', 'trials', 'right', 'refused', 'wrong', 'understated', 'found',
+           'efficiency', 'median', 'TRE', 'predicted', 'search', 'solve', 'refused for')
 
 
 def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
@@ -32,7 +32,7 @@ def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
         efficiency = [np.sqrt(row['nees'] / 6.0) for row in right]
         yield (
             scenario, str(len(selected)),
-            *(str(verdicts[v]) for v in ('right', 'refused', 'wrong')),
+            *(str(verdicts[v]) for v in ('right', 'refused', 'wrong', 'understated')),
             _figure(np.mean, [row['found'] for row in selected if row['found'] is not None],
                     '.1%'),
             _figure(rms, efficiency), _figure(np.median, efficiency),
@@ -43,15 +43,9 @@ def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
             ', '.join(f'{count} {reason}' for reason, count in reasons.most_common()))
 
 
-def wrongly_accepted(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows of poses that were accepted and are wrong."""
-    return [row for row in rows if row['verdict'] == 'wrong']
-
-
-def expected_wrong(rows: Sequence[Row]) -> float:
-    """Return the expected number of wrong answers of an ideal estimator for the accepted poses."""
-    return sum(row['ideal_wrong'] for row in rows
-               if row['verdict'] != 'refused' and row['ideal_wrong'] is not None)
+def faults(rows: Sequence[Row], verdict: str) -> list[Row]:
+    """Return the rows of a verdict, wrong or understated."""
+    return [row for row in rows if row['verdict'] == verdict]
 
 
 def faulty_refusals(rows: Sequence[Row]) -> tuple[list[Row], int]:

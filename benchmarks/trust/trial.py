@@ -11,10 +11,9 @@ from benchmarks.execution.result_table import Row
 from benchmarks.protocol.scoring import (
     PoseErrors,
     cramer_rao,
-    ideal_wrong,
-    is_wrong,
     pose_errors,
     share_of_limits,
+    verdict,
     well_posed,
 )
 from benchmarks.protocol.trials import Problem, Trial, make
@@ -43,19 +42,17 @@ def trial_row(problem: Problem, result: RegistrationResult, config: Config) -> R
     errors: dict[str, float | None] = dict.fromkeys(PoseErrors.__dataclass_fields__)
     if bound is not None and result.T_tracker_bone is not None:
         errors |= asdict(pose_errors(result.T_tracker_bone, problem, bound))
-    predicted = result.predicted_tre_m.get('rms')
-    verdict = ('refused' if not result.success else
-               'wrong' if is_wrong(problem, errors['tre_rms_m'], predicted) else 'right')
     return {
         'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,
-        'model': trial.model, 'verdict': verdict, 'reason': str(result.reason),
+        'model': trial.model, 'verdict': verdict(problem, result, config),
+        'reason': str(result.reason),
         'found': None if bound is None else is_found(problem, bound, result, config),
         'well_posed': well_posed(problem, bound, config), **errors,
         'bound_rms_m': None if bound is None else rms(
             bound.predicted_tre(problem.field.surface_points.astype(np.float64))),
         'share_of_limits': None if bound is None else share_of_limits(problem, bound, config),
-        'ideal_wrong': None if bound is None else ideal_wrong(problem, bound),
-        'predicted_rms_m': predicted, 'runner_up_ratio': result.runner_up_ratio,
+        'predicted_rms_m': result.predicted_tre_m.get('rms'), 'grade': result.grade,
+        'runner_up_ratio': result.runner_up_ratio,
         'received': result.received, 'used': result.used, 'inliers': result.inliers,
         'sigma_m': result.sigma_m, 'search_s': result.timing_s.get('search'),
         'solve_s': result.timing_s.get('solve'), 'message': result.message

@@ -103,7 +103,7 @@ def _value(value: Any, hint: Any, shape: tuple[int, ...]) -> Any:
         return Reason(value)
     if hint == Array:
         return array(value, shape)
-    if dataclasses.is_dataclass(hint):
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return _from_dict(hint, value)
     if get_origin(hint) is dict:
         return {text(key): None if item is None else _value(item, get_args(hint)[1], shape)
