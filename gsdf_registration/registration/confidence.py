@@ -20,7 +20,7 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.solver import Solution, nearest_neighbours
+from gsdf_registration.solver import Solution, before, nearest_neighbours
 
 # 95 % quantile of chi-square for 1 to 3 degrees of freedom
 FREEDOM = np.linspace(1.0, 3.0, 65)
@@ -153,8 +153,8 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     solution : Solution
     points : (n, 3) float, metres, tracker frame
         The points of the solution.
-    neighbours : (n, k) int
-        The points nearest to each point, over which residuals are averaged.
+    neighbours : (s, k) int
+        The points nearest to each point on a stroke, over which residuals are averaged.
 
     """
     noise, error = _noise_covariance(solution), solution.model_error
@@ -174,7 +174,8 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
 def assess_at(solution: Solution, points: Array, field: Field,
               config: SolverConfig) -> Confidence | None:
     """Return `assess` with the nearest neighbours of each point on the bone."""
-    neighbours = nearest_neighbours(points, field, solution.T_bone_tracker)
+    on_strokes = before(solution.touches, points)
+    neighbours = nearest_neighbours(on_strokes, field, solution.T_bone_tracker)
     return assess(solution, points, neighbours)
 
 
@@ -258,7 +259,8 @@ def _has_full_rank(H: Array) -> bool:
 
 def _residual_correlation(w: Array, residuals: Array, neighbours: NDArray[np.int64]) -> float:
     """Return the mean of (sum w) m^2 / s^2, m the mean residual of neighbours; 1 for noise."""
-    e, around = np.nan_to_num(residuals), w[neighbours]
+    w, e = w[:len(neighbours)], np.nan_to_num(residuals[:len(neighbours)])
+    around = w[neighbours]
     count = np.maximum(around.sum(axis=1), 1e-9)
     mean = (around * e[neighbours]).sum(axis=1) / count
     return float((w * count * mean**2).sum() / max((w * e**2).sum(), 1e-300))

@@ -28,6 +28,7 @@ from gsdf_registration.registration.point_selection import (
 )
 from gsdf_registration.registration.pose_selection import select_pose, solve_all
 from gsdf_registration.search.global_search import find_start_poses
+from gsdf_registration.solver import NO_TOUCHES
 
 
 def register(points: ArrayLike,
@@ -129,7 +130,8 @@ def find_candidates(points: Array,
                     *,
                     cancelled: Callable[[], bool] | None = None,
                     progress: Callable[[float], None] | None = None,
-                    history: bool = False) -> Iterator[Candidate]:
+                    history: bool = False,
+                    touches: Array = NO_TOUCHES) -> Iterator[Candidate]:
     """
     Yield the candidate around a guess, T_bone_tracker, then that of a search of the whole bone.
 
@@ -138,7 +140,7 @@ def find_candidates(points: Array,
     """
     for starts in ([],) if guess is None else ([guess], []):
         yield find_candidate(points, field, config, starts, evidence, cancelled=cancelled,
-                             progress=progress, history=history)
+                             progress=progress, history=history, touches=touches)
 
 
 def find_candidate(points: Array,
@@ -149,7 +151,8 @@ def find_candidate(points: Array,
                    *,
                    cancelled: Callable[[], bool] | None = None,
                    progress: Callable[[float], None] | None = None,
-                   history: bool = False) -> Candidate:
+                   history: bool = False,
+                   touches: Array = NO_TOUCHES) -> Candidate:
     """
     Run the pipeline once: search, solve, select, assess.
 
@@ -166,6 +169,8 @@ def find_candidate(points: Array,
         What is known of the pose beside the points.
     cancelled, progress, history
         As in `register`.
+    touches : (t,) float
+        Relative noise of the last t points, which are touches.
 
     Raises
     ------
@@ -176,7 +181,7 @@ def find_candidate(points: Array,
     found = find_start_poses(points, field, config.search, starts[0] if starts else None,
                              cancelled, progress)
     searched = perf_counter()
-    solutions = solve_all(points, field, [*starts, *found], config, history, cancelled)
+    solutions = solve_all(points, field, [*starts, *found], config, history, cancelled, touches)
     selected = select_pose(solutions, points, field, config.solver, evidence)
     confidence = assess_at(selected.solution, points, field, config.solver)
     timing_s = {'search': searched - started, 'solve': perf_counter() - searched}

@@ -15,17 +15,20 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config, SolverConfig
-from gsdf_registration.common.result import Cancelled
+from gsdf_registration.common.result import INLIER_WEIGHT, Cancelled
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.search.consensus import POSE_ERROR, consensus
 from gsdf_registration.solver import (
+    NO_TOUCHES,
     Solution,
     allow_for_model_error,
+    before,
     nearest_neighbours,
     patch_likelihood,
     solve,
+    touch_deviations,
 )
 
 # m: solutions that place the points less than this apart (RMS) are the same local minimum
@@ -97,11 +100,11 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
     best = max(solutions, key=lambda solution: solution.rank)
     poses = [solution.T_bone_tracker for solution in (best, *solutions)]
     residuals = [field.sample(rigid.transform(T, points))[0] for T in poses]
-    neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
-    local_sd = max(_local_sd(best, neighbours), 0.01 * field.voxel_size)
+    neighbours = nearest_neighbours(before(best.touches, points), field, best.T_bone_tracker)
+    local_sd, touch_sd = _deviations(best, neighbours, 0.01 * field.voxel_size)
     # the same measures for all solutions: the likelihood of the local means and a robust cost
-    likelihood = [patch_likelihood(e, neighbours, local_sd) + evidence.log_likelihood(T, field)
-                  for T, e in zip(poses, residuals)]
+    likelihood = [patch_likelihood(e, neighbours, local_sd, touch_sd)
+                  + evidence.log_likelihood(T, field) for T, e in zip(poses, residuals)]
     cost = [(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals]
     minima, alternatives, apart = [poses[0]], [], _distance_of_poses(points)
     for k in np.argsort(likelihood, kind='stable')[::-1]:
@@ -131,18 +134,24 @@ def _distance_of_poses(points: Array) -> Callable[[Array, Array], float]:
     return distance
 
 
-def _local_sd(solution: Solution, neighbours: NDArray[np.int64]) -> float:
+def _deviations(solution: Solution, neighbours: NDArray[np.int64],
+                floor: float) -> tuple[float, Array]:
     """
-    Return the standard deviation of the local means of the residuals.
+    Return the standard deviations of the local means of the residuals, and of each touch (t,), m.
 
-    Only white noise counts if the solution is consistent.
+    None is below ``floor``. Only white noise counts if the solution is consistent.
     """
-    e = np.nan_to_num(solution.residuals)
-    mean, w = e[neighbours].mean(axis=1), solution.weights
-    white = 1.4826 * float(np.median(np.abs(e - mean))) / np.sqrt(neighbours.shape[1])
-    if solution.consistent:
-        return white
-    return max(white, float(np.sqrt((w * mean**2).sum() / max(w.sum(), 1e-9))))
+    e, w, touches = np.nan_to_num(solution.residuals), solution.weights, solution.touches
+    if not len(neighbours):
+        return floor, np.maximum(touch_deviations(e, w, touches, 0.0, 0.0), floor)
+    on, own, count = before(touches, e), before(touches, w), neighbours.shape[1]
+    mean = on[neighbours].mean(axis=1)
+    noise = 1.4826 * float(np.median(np.abs(on - mean)))
+    local_sd = white = max(noise / float(np.sqrt(count)), floor)
+    if not solution.consistent:
+        local_sd = max(white, float(np.sqrt((own * mean**2).sum() / max(own.sum(), 1e-9))))
+    model_sd = float(np.sqrt(local_sd**2 - white**2))
+    return local_sd, touch_deviations(e, w, touches, float(np.sqrt(count)) * white, model_sd)
 
 
 def solve_all(points: Array,
@@ -150,7 +159,8 @@ def solve_all(points: Array,
               starts: Sequence[Array],
               config: Config,
               history: bool = False,
-              cancelled: Callable[[], bool] | None = None) -> list[Solution]:
+              cancelled: Callable[[], bool] | None = None,
+              touches: Array = NO_TOUCHES) -> list[Solution]:
     """
     Return the local solution from each start, and more if the best one does not explain the points.
 
@@ -170,6 +180,8 @@ def solve_all(points: Array,
         Whether the solutions contain every iteration.
     cancelled : callable, optional
         Called before each solve; if it returns True, `Cancelled` is raised.
+    touches : (t,) float
+        Relative noise of the last t points, which are touches.
 
     Raises
     ------
@@ -179,7 +191,7 @@ def solve_all(points: Array,
     def solve_from(start: Array, **options: Any) -> Solution:
         if cancelled is not None and cancelled():
             raise Cancelled
-        return solve(points, field, start, config.solver, history, **options)
+        return solve(points, field, start, config.solver, history, touches=touches, **options)
 
     solutions = _Solutions()
     with ThreadPoolExecutor(config.search.threads or os.cpu_count() or 1) as pool:
@@ -188,7 +200,7 @@ def solve_all(points: Array,
             return solutions.all
         for _ in range(CONSENSUS_ROUNDS):
             best = solutions.best
-            neighbours = nearest_neighbours(points, field, best.T_bone_tracker)
+            neighbours = nearest_neighbours(before(touches, points), field, best.T_bone_tracker)
             if _explained_share(best, neighbours) > MOSTLY_EXPLAINED:
                 break
             poses = consensus(points, field, best.T_bone_tracker, neighbours, CONSENSUS_POSES)
@@ -242,7 +254,10 @@ def _without_points(solution: Solution) -> Solution:
 
 def _explained_share(solution: Solution, neighbours: NDArray[np.int64]) -> float:
     """Return the share of the points whose local mean is within that of white noise."""
-    mean = solution.residuals[neighbours].mean(axis=1)
-    noise = 1.4826 * np.median(np.abs(solution.residuals - mean))
+    if not len(neighbours):
+        return float((solution.weights > INLIER_WEIGHT).mean())
+    e = before(solution.touches, solution.residuals)
+    mean = e[neighbours].mean(axis=1)
+    noise = 1.4826 * np.median(np.abs(e - mean))
     limit = EXPLAINED_SD * noise / np.sqrt(neighbours.shape[1])
     return float((np.abs(mean) < limit).mean())

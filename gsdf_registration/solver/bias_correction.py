@@ -32,7 +32,7 @@ MIN_VARIANCE = 0.1      # of the mean variance: lower limit along any axis
 
 
 @kernel
-def bias_correction(field, points, R, t, weight, noise, e, J, precision):
+def bias_correction(field, points, R, t, weight, noise, e, J, precision, strokes):
     """
     Take one corrective step, in place on ``R`` (3, 3), ``t`` (3,).
 
@@ -40,12 +40,15 @@ def bias_correction(field, points, R, t, weight, noise, e, J, precision):
     weight : (n,) probability that a point is on the bone
     noise : standard deviation of a point along the normal
     e, J : (n,), (n, 6) residuals and derivatives at the pose; updated to the new pose, without bias
-    precision : (n,) filled with the mean noise over the noise along the normal of each point
+    precision : (n,) filled with the mean noise over the noise along the normal of each point, for
+        the first ``strokes`` points; that of touches, which follow, is given: there are too few to
+        tell the directions apart
 
     Returns False, and takes no step, if the points do not constrain the pose.
     """
-    _remove_bias(field, points, R, t, weight, noise, e, J)
-    _estimate_precision(e, J, weight, precision)
+    _remove_bias(field, points, R, t, weight, noise, e, J, precision)
+    s = strokes
+    _estimate_precision(e[:s], J[:s], weight[:s], precision[:s])
     n = len(e)
     w = np.empty(n)
     for k in range(n):
@@ -62,7 +65,7 @@ def bias_correction(field, points, R, t, weight, noise, e, J, precision):
 
 
 @kernel
-def _remove_bias(field, points, R, t, weight, noise, e, J):
+def _remove_bias(field, points, R, t, weight, noise, e, J, precision):
     """
     Subtract the expected distance of a noisy surface point from ``e``, and average ``J``.
 
@@ -72,6 +75,7 @@ def _remove_bias(field, points, R, t, weight, noise, e, J):
     which = np.empty(BATCH, np.uint64)
     arm, near = np.empty((3, BATCH)), np.empty((3, BATCH))
     value, total = np.empty((4, BATCH), np.float32), np.empty((4, BATCH))
+    spread = np.empty(BATCH)
     n = 0
     for k in range(len(points)):
         which[n] = k
@@ -80,9 +84,10 @@ def _remove_bias(field, points, R, t, weight, noise, e, J):
             rotate(points, which, n, R, arm)
             for j in range(n):
                 row = which[j]
+                spread[j] = math.sqrt(3.0) * (noise / precision[row])
                 for i in range(3):
                     near[i, j] = arm[i, j] - e[row] * J[row, 3 + i]
-            _sum_around(field, near, t, n, math.sqrt(3.0) * noise, value, total)
+            _sum_around(field, near, t, n, spread, value, total)
             for j in range(n):
                 value[0, j] = e[which[j]] - total[0, j] / 6.0
                 for i in range(1, 4):
@@ -96,15 +101,15 @@ def _sum_around(field, x, t, n, spread, value, total):
     """Fill ``total`` (4, BATCH) with sums over six samples at +-``spread`` along each axis."""
     total[:] = 0.0
     for i in range(3):
-        for shift in (spread, -2.0 * spread):
+        for steps in (1.0, -2.0):
             for j in range(n):
-                x[i, j] += shift
+                x[i, j] += steps * spread[j]
             sample_batch(field, x, t, n, value)
             for j in range(n):
                 for c in range(4):
                     total[c, j] += value[c, j]
         for j in range(n):
-            x[i, j] += spread
+            x[i, j] += spread[j]
 
 
 @kernel

@@ -26,6 +26,7 @@ from gsdf_registration.solver.paper import (
     algorithm_1,
 )
 from gsdf_registration.solver.solution import Estimates, Solution
+from gsdf_registration.solver.touches import NO_TOUCHES, before
 
 INITIAL_LOCAL_SD = 0.0015   # m, of the local means at the initial pose, which may be this far off
 INITIAL_INLIER_RATIO = 0.7  # most of what is touched is bone
@@ -40,34 +41,38 @@ def solve(points: Array,
           history: bool = False,
           neighbours: NDArray[np.int64] | None = None,
           local_sd: float = INITIAL_LOCAL_SD,
-          anneal_to_noise: bool = True) -> Solution:
+          anneal_to_noise: bool = True,
+          touches: Array = NO_TOUCHES) -> Solution:
     """
     Return the local solution from an initial pose.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, tracker frame
+        On strokes first, then touches.
     field : of the bone
     T_bone_tracker : (4, 4) float, initial pose
     config : SolverConfig
     history : whether to return every iteration
-    neighbours : (n, k) int of the points, if known
+    neighbours : (n - t, k) int of the points on strokes, if known
     local_sd : float, metres
         Mixture: how far the initial pose may be off.
     anneal_to_noise : bool
         Mixture: whether to anneal down to white noise, so that most points fit exactly and the
         others are interference such as soft tissue; if false, only down to the model error, within
         which all points may fit.
+    touches : (t,) float
+        Relative noise of the touches, see `gsdf_registration.solver.touches`.
 
     """
     if config.method == 'paper':
-        return _paper(points, field, T_bone_tracker, config, history)
+        return replace(_paper(points, field, T_bone_tracker, config, history), touches=touches)
     if neighbours is None:
-        neighbours = nearest_neighbours(points, field, T_bone_tracker)
+        neighbours = nearest_neighbours(before(touches, points), field, T_bone_tracker)
     limit = 0.5 * config.model_error if anneal_to_noise else config.model_error
     # the noise is estimated in the first iteration
     initial = Estimates(0.0, local_sd, INITIAL_INLIER_RATIO, limit)
-    return _mixture(points, neighbours, field, T_bone_tracker, config, history, initial,
+    return _mixture(points, neighbours, touches, field, T_bone_tracker, config, history, initial,
                     anneal_to_noise, False)
 
 
@@ -85,23 +90,27 @@ def refine(points: Array,
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, tracker frame; more or fewer than before
+    points : (n, 3) float64, metres, tracker frame
+        More or fewer on strokes than before, but the same touches.
     field : of the bone
     previous : of `solve` or `refine`, with an error of about its ``local_sd`` at most
     config : settings of the method that found it
-    neighbours : (n, k) int of the points, if known
+    neighbours : as in `solve`
     reuse_correction : bool
         Whether to apply the correction of ``previous``, which a few more points hardly change and
         which saves a third of the time, instead of computing it again.
 
     """
     if previous.estimates is None:
-        return _paper(points, field, previous.T_bone_tracker, config, False)
+        return replace(_paper(points, field, previous.T_bone_tracker, config, False),
+                       touches=previous.touches)
+    touches = previous.touches
     uncorrected = rigid.inverse(previous.correction) @ previous.T_bone_tracker
     if neighbours is None:
-        neighbours = nearest_neighbours(points, field, uncorrected)
-    return _mixture(points, neighbours, field, uncorrected, config, False, previous.estimates,
-                    previous.consistent, True, previous.correction if reuse_correction else None)
+        neighbours = nearest_neighbours(before(touches, points), field, uncorrected)
+    return _mixture(points, neighbours, touches, field, uncorrected, config, False,
+                    previous.estimates, previous.consistent, True,
+                    previous.correction if reuse_correction else None)
 
 
 def allow_for_model_error(solution: Solution, points: Array) -> Solution:
@@ -130,6 +139,7 @@ def allow_for_model_error(solution: Solution, points: Array) -> Solution:
 
 def _mixture(points: Array,
              neighbours: NDArray[np.int64],
+             touches: Array,
              field: Field,
              T_bone_tracker: Array,
              config: SolverConfig,
@@ -141,19 +151,21 @@ def _mixture(points: Array,
     """Return the solution of `expectation_maximization`, with the given or its own correction."""
     centred, centroid, R, t = _to_centroid_frame(points, T_bone_tracker)
     weight, curvature, e = np.zeros((3, len(points)))
-    J = np.zeros((len(points), 6))
+    J, precision = np.zeros((len(points), 6)), np.ones(len(points))
     steps, found = gauss_newton.empty_history(config.max_iterations), np.array(estimates)
     ended, iterations, likelihood, consistent = expectation_maximization(
-        field.arrays, centred, R, t, neighbours, weight, curvature, e, J, steps, found, annealed,
-        anneal_to_noise, ANNEALING_FACTOR, INTERFERENCE_RANGE, TOLERANCE)
-    uncorrected, precision = _pose(centroid, R, t), np.ones(len(points))
+        field.arrays, centred, R, t, neighbours, touches, weight, curvature, e, J, precision, steps,
+        found, annealed, anneal_to_noise, ANNEALING_FACTOR, INTERFERENCE_RANGE, TOLERANCE)
+    uncorrected = _pose(centroid, R, t)
     if correction is None:
         if ended != gauss_newton.SINGULAR:
-            bias_correction(field.arrays, centred, R, t, weight, found[0], e, J, precision)
+            bias_correction(field.arrays, centred, R, t, weight, found[0], e, J, precision,
+                            len(neighbours))
         correction = _pose(centroid, R, t) @ rigid.inverse(uncorrected)
-    return _solution(correction @ uncorrected, correction, weight, e, precision, J, curvature,
-                     consistent, likelihood, ended, steps[:iterations], history,
-                     Estimates(*found.tolist()))
+    solution = _solution(correction @ uncorrected, correction, weight, e, precision, J, curvature,
+                         consistent, likelihood, ended, steps[:iterations], history,
+                         Estimates(*found.tolist()))
+    return replace(solution, touches=touches)
 
 
 def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
@@ -191,7 +203,7 @@ def _solution(T: Array, correction: Array, weight: Array, e: Array, precision: A
               history: bool, estimates: Estimates | None = None) -> Solution:
     return Solution(
         T, correction, weight, e, precision, J, curvature, consistent, score,
-        ended == gauss_newton.CONVERGED, gauss_newton.TERMINATION[ended], len(steps), estimates,
-        None, tuple(
+        ended == gauss_newton.CONVERGED, gauss_newton.TERMINATION[ended], len(steps), NO_TOUCHES,
+        estimates, None, tuple(
             Iteration(cost, turn, shift, int(used))
             for cost, turn, shift, used in steps.tolist()) if history else ())

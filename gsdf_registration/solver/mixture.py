@@ -31,6 +31,13 @@ from gsdf_registration.solver.gauss_newton import (
     update,
 )
 from gsdf_registration.solver.median import median
+from gsdf_registration.solver.touches import (
+    NO_TOUCHES,
+    touch_expectation,
+    touch_likelihood,
+    touch_noise,
+    touch_variances,
+)
 
 # m: interference is modelled as uniform within this distance of the bone, about the thickness of
 # soft tissue left on an exposed bone
@@ -43,14 +50,15 @@ ROOT_2PI = math.sqrt(2.0 * math.pi)
 
 
 @kernel
-def expectation_maximization(field, points, R, t, neighbours, weight, curvature, e, J, history,
-                             estimates, annealed, anneal_to_noise, annealing_factor, thickness,
-                             tolerance):
+def expectation_maximization(field, points, R, t, neighbours, touches, weight, curvature, e, J,
+                             precision, history, estimates, annealed, anneal_to_noise,
+                             annealing_factor, thickness, tolerance):
     """
     Run EM with one Gauss-Newton step per iteration, in place on ``R`` (3, 3), ``t`` (3,).
 
-    points : (n, 3), about their centroid
-    neighbours : (n, K) nearest neighbours of each point, itself first
+    points : (n, 3), about their centroid, first those on strokes, then touches
+    neighbours : (s, K) nearest neighbours of each point on a stroke, itself first
+    touches : (n - s,) relative noise of each touch
     estimates : (4,) initial values, updated: noise (standard deviation of a point), standard
         deviation of the local means, inlier ratio; last the limit of the second, not updated
     annealed : whether the standard deviation of the local means starts at its estimate; if false,
@@ -61,15 +69,17 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
 
     Returns (termination, iterations, log-likelihood, whether the points are consistent with white
     noise). ``weight`` is filled with the probability that a point is on the bone, ``curvature``
-    with the information that it contributes.
+    with the information that it contributes, ``precision`` with the noise over that of a point.
     """
-    n, K = neighbours.shape
+    s, K = neighbours.shape
+    n = len(points)
     keep = np.ones(n, dtype=np.bool_)
     A = np.zeros((6, 6))
     b = np.zeros(6)
     dx = np.zeros(6)
     mean = np.zeros(n)
     work = np.zeros(2 * n)
+    variance, scaled = np.zeros(n - s), np.zeros(n)
     size = math.sqrt((points * points).sum() / n)
     floor = 0.01 * field.voxel      # accuracy of the field itself
     noise, local_sd, inlier_ratio, limit = estimates
@@ -83,21 +93,31 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
         # oscillate across a crease
         late = iteration - len(history) // 4
         estimating = late <= 0
-        if estimating:
-            noise = _white_noise(e, mean, K, thickness, floor, work)
+        if estimating and s > 0:
+            noise = _white_noise(e[:s], mean[:s], K, thickness, floor, work)
         white = noise / math.sqrt(K)
         estimated = annealed    # in the previous iteration, which the last one requires
         if not annealed:
             end = white if anneal_to_noise else spread
             local_sd = max(local_sd * annealing_factor, end)
             annealed = local_sd == end
-        on_bone, variance, likely = _expectation(e, mean, inlier_ratio, noise, local_sd, thickness,
-                                                 weight)
-        spread = min(max(math.sqrt(variance), white), max(limit, white))
+        on_bone, squared, likely = _expectation(e[:s], mean[:s], inlier_ratio, noise, local_sd,
+                                                thickness, weight[:s])
+        spread = min(max(math.sqrt(squared), white), max(limit, white))
+        if s < n:
+            # what widens the local means widens touches: the error of the model and of the pose
+            touch_variances(touches, noise, max(local_sd * local_sd - white * white, 0.0), variance)
+            more, probable = touch_expectation(e[s:], variance, inlier_ratio, thickness,
+                                               OUTSIDE_SHARE, weight[s:])
+            on_bone, likely = on_bone + more, likely + probable
+            if s == 0:
+                spread = touch_noise(e, touches, weight, floor)
+                noise = spread if estimating else noise
+        _scale_weights(weight, s, variance, noise if s > 0 else local_sd, scaled, precision)
         if annealed and estimating:
             inlier_ratio = min(max(on_bone / n, 0.2), 0.98)
             local_sd = spread
-        history[iteration, 0], history[iteration, 3] = normal_equations(J, e, weight, A, b), likely
+        history[iteration, 0], history[iteration, 3] = normal_equations(J, e, scaled, A, b), likely
         damp(A, history[iteration, 0], size * size)
         if not solve_cholesky(A, b, dx):
             return SINGULAR, iteration, -np.inf, False
@@ -112,27 +132,39 @@ def expectation_maximization(field, points, R, t, neighbours, weight, curvature,
         dx *= shrink
         update(R, t, dx)
     estimates[0], estimates[1], estimates[2] = noise, local_sd, inlier_ratio
-    _observed_information(mean, weight, local_sd, curvature)
+    _observed_information(mean, weight, local_sd, s, variance, curvature)
     # Where most points fit exactly, the likelihood allows for no model error: otherwise it could
     # explain nearly all points at a pose that is half on soft tissue
     white = noise / math.sqrt(K)
-    consistent = _is_consistent(mean, white)
-    return (CONVERGED if converged else MAX_ITERATIONS, iteration + 1,
-            _log_likelihood(mean, K, inlier_ratio, white if consistent else local_sd, thickness),
-            consistent)
+    consistent = s == 0 or _is_consistent(mean[:s], white)
+    likelihood = _log_likelihood(mean[:s], K, inlier_ratio, white if consistent else local_sd,
+                                 thickness)
+    likelihood += touch_likelihood(e[s:], variance, inlier_ratio, thickness, OUTSIDE_SHARE)
+    return CONVERGED if converged else MAX_ITERATIONS, iteration + 1, likelihood, consistent
 
 
 @kernel
-def _observed_information(mean, weight, local_sd, curvature):
+def _scale_weights(weight, first, variance, noise, scaled, precision):
+    """Fill the weights of the residuals, and the precision of touches, which follow ``first``."""
+    for k in range(len(weight)):
+        scaled[k] = weight[k]
+    for k in range(first, len(weight)):
+        relative = noise * noise / variance[k - first]
+        scaled[k] *= relative
+        precision[k] = math.sqrt(relative)
+
+
+@kernel
+def _observed_information(mean, weight, local_sd, first, variance, curvature):
     """
     Fill ``curvature`` with the contribution of each point to the observed information (Louis 1982).
 
     It is the complete-data information less the part missing because the class of a point, bone or
     interference, is uncertain. Where the class depends on the pose, as along an arc that leaves the
-    bone, the contribution is negative.
+    bone, the contribution is negative. Touches follow ``first``.
     """
     for k in range(len(mean)):
-        m = mean[k] / local_sd
+        m = mean[k] / (local_sd if k < first else math.sqrt(variance[k - first]))
         curvature[k] = weight[k] * (1.0 - (1.0 - weight[k]) * m * m)
 
 
@@ -152,13 +184,19 @@ def _is_consistent(mean, white):
 
 @kernel
 def _local_means(e, neighbours, thickness, near, mean):
-    """Fill ``mean`` (n,) with the mean residual of each point's neighbours, without far points."""
-    n, K = neighbours.shape
-    for k in range(n):
+    """
+    Fill ``mean`` (n,) with the mean residual of each point's neighbours, without far points.
+
+    That of a touch, which has no neighbours, is its own residual.
+    """
+    s, K = neighbours.shape
+    for k in range(s, len(e)):
+        mean[k] = e[k]
+    for k in range(s):
         close = abs(e[k]) < 2.0 * thickness
         near[2 * k] = e[k] if close else 0.0
         near[2 * k + 1] = 1.0 if close else 0.0
-    for k in range(n):
+    for k in range(s):
         total = count = 0.0
         for j in range(K):
             i = np.uint64(2) * np.uint64(neighbours[k, j])      # unsigned: no check for negatives
@@ -229,7 +267,8 @@ def _odds_at_zero(inlier_ratio, local_sd, thickness):
     return odds - math.log(1.0 - OUTSIDE_SHARE), odds - math.log(OUTSIDE_SHARE)
 
 
-def patch_likelihood(e: Array, neighbours: NDArray[np.int64], local_sd: float) -> float:
+def patch_likelihood(e: Array, neighbours: NDArray[np.int64], local_sd: float,
+                     touch_sd: Array = NO_TOUCHES) -> float:
     """
     Return the log-likelihood of residuals for a given standard deviation of their local means.
 
@@ -237,17 +276,20 @@ def patch_likelihood(e: Array, neighbours: NDArray[np.int64], local_sd: float) -
     ----------
     e : (n,) float, metres
         Residuals.
-    neighbours : (n, k) int
-        Nearest neighbours of each point.
+    neighbours : (s, k) int
+        Nearest neighbours of each point on a stroke.
     local_sd : float, metres
+    touch_sd : (n - s,) float, metres
+        Standard deviation of each touch.
 
     """
-    return float(_patch_likelihood(e, neighbours, local_sd, INTERFERENCE_RANGE))
+    return float(_patch_likelihood(e, neighbours, local_sd, touch_sd**2, INTERFERENCE_RANGE))
 
 
 @kernel
-def _patch_likelihood(e, neighbours, local_sd, thickness):
-    n, K = neighbours.shape
-    mean = np.zeros(n)
-    _local_means(e, neighbours, thickness, np.zeros(2 * n), mean)
-    return _log_likelihood(mean, K, 0.5, local_sd, thickness)
+def _patch_likelihood(e, neighbours, local_sd, variance, thickness):
+    s, K = neighbours.shape
+    mean = np.zeros(len(e))
+    _local_means(e, neighbours, thickness, np.zeros(2 * s), mean)
+    return (_log_likelihood(mean[:s], K, 0.5, local_sd, thickness)
+            + touch_likelihood(e[s:], variance, 0.5, thickness, OUTSIDE_SHARE))

@@ -38,6 +38,8 @@ def _projected(points: Array, field: Field, T_bone_tracker: Array) -> Array:
 
 def _nearest(places: Array, count: int) -> NDArray[np.int64]:
     """Return indices (n, count) of the positions nearest to each of ``places`` (n, 3)."""
+    if not len(places):
+        return np.empty((0, 1), dtype=np.int64)
     nearest = cKDTree(places).query(places, k=min(count, len(places)))[1]
     return np.ascontiguousarray(nearest.reshape(len(places), -1), dtype=np.int64)
 

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import field as item
 from typing import NamedTuple
 
 from gsdf_registration.common.result import Iteration
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver.model_error import ModelError
+from gsdf_registration.solver.touches import NO_TOUCHES
 
 
 class Estimates(NamedTuple):
@@ -48,6 +50,7 @@ class Solution:
     converged : bool
     termination : str, why the solver stopped, for the user
     iterations : int
+    touches : (t,) float, relative noise of the last t points, which are touches
     estimates : state to warm-start from; None after the published method
     model_error : the model error that was allowed for; None if none was found or looked for
     history : the iterations, if requested
@@ -65,6 +68,7 @@ class Solution:
     converged: bool
     termination: str
     iterations: int
+    touches: Array = item(default_factory=lambda: NO_TOUCHES)
     estimates: Estimates | None = None
     model_error: ModelError | None = None
     history: tuple[Iteration, ...] = ()

@@ -91,5 +91,5 @@ def test_takes_no_step_on_a_plane() -> None:
     J[:, 5] = 1.0
     # with weight 0, the rows of J are left as they are
     assert not bias_correction(bone_field().arrays, points, R, t, np.zeros(n), 1e-4, np.ones(n), J,
-                         np.ones(n))
+                         np.ones(n), n)
     assert (np.eye(3) == R).all() and (t == 0.0).all()

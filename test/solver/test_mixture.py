@@ -294,6 +294,6 @@ def test_observed_information_is_the_derivative_of_the_weighted_mean() -> None:
     slope = ((mean + step) * weight(mean + step) - (mean - step) * weight(mean - step)) / (2 * step)
     away = np.abs(mean) > 2 * step      # the odds jump at the surface
     curvature = np.zeros(len(mean))
-    _observed_information(mean, weight(mean), local_sd, curvature)
+    _observed_information(mean, weight(mean), local_sd, len(mean), np.zeros(0), curvature)
     np.testing.assert_allclose(curvature[away], slope[away], rtol=1e-3, atol=1e-5)
     assert curvature.min() < -0.2 and curvature.max() > 0.9
