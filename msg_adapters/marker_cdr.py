@@ -23,6 +23,7 @@ class Shape(IntEnum):
 
     ARROW = 0
     CYLINDER = 3
+    LINE_LIST = 5
     SPHERE_LIST = 7
     TEXT = 9
     TRIANGLE_LIST = 11

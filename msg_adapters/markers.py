@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The markers of ~/markers: the bone, touched points and the next places to touch; m, bone frame.
+The markers of ~/markers: the bone, its zone, points and next places to touch; m, bone frame.
 
 Every function returns all markers of its namespaces, and deletions of those that are no longer
 shown. A message is thus complete: markers do not flicker, and a viewer that starts late or misses a
@@ -20,6 +20,7 @@ from msg_adapters.marker_cdr import Marker, Shape
 MAX_POINTS = 4000       # more points would overlap
 MAX_PATCHES = 5         # number of patches in a message
 POINT = 0.0025          # m, diameter of a touched point
+LINE = 0.0015           # m, width of the border of the zone
 DOT = 0.002             # m, diameter of a point of a point-cloud model
 ARROW = 0.03            # m, from the tail to the patch
 LETTER = 0.008          # m, height of a capital
@@ -52,6 +53,14 @@ def points(positions: Array, colours: Array) -> list[Marker]:
     every = -(-len(positions) // MAX_POINTS)
     return [Marker('points', 0, Shape.SPHERE_LIST, (POINT, POINT, POINT),
                    points=positions[::every], colours=_opaque(colours[::every]))]
+
+
+def border(segments: Array, colour: Array) -> list[Marker]:
+    """Return the border of the zone: segments (k, 2, 3), m, of a colour (3,)."""
+    if not len(segments):
+        return [Marker('zone', 0)]
+    return [Marker('zone', 0, Shape.LINE_LIST, (LINE, 0.0, 0.0), points=segments.reshape(-1, 3),
+                   colours=colour)]
 
 
 def patches(positions: Array, normals: Array, radius: float, labels: Sequence[str],

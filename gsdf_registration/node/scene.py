@@ -22,6 +22,7 @@ from gsdf_registration.registration.guidance import PATCH
 from gsdf_registration.registration.point_selection import evenly_spread
 from gsdf_registration.visualization import colours
 from gsdf_registration.visualization.decimation import Faces, drawn_surface
+from gsdf_registration.visualization.zone_border import border_segments
 from msg_adapters import markers, ros
 from msg_adapters.marker_cdr import DELETE_ALL, Marker, to_bytes
 
@@ -50,7 +51,8 @@ class ScenePublisher:
         empty = np.zeros((0, 3))
         vertices, faces = self._drawn_surface(field)
         plain = np.tile(colours.rgb(colours.ERROR[0]), (len(vertices), 1))
-        self._publish(markers.bone(vertices, faces, plain) + markers.points(empty, empty)
+        self._publish(markers.bone(vertices, faces, plain)
+                      + markers.border(np.zeros((0, 2, 3)), plain) + markers.points(empty, empty)
                       + self._patches(next_touches))
         if self._has_cloud:
             self._publish_cloud(empty, *np.zeros((3, 0)))
@@ -65,7 +67,7 @@ class ScenePublisher:
                   covariance: Array, positions: Array, residuals: Array, weights: Array,
                   strokes: NDArray[np.int32], next_touches: Sequence[NextTouch]) -> None:
         """
-        Show the bone with its predicted error, the points on it, and where to touch next.
+        Show the bone with its error and the zone, the points on it, and where to touch next.
 
         May be called from any thread, but not by two at the same time.
 
@@ -90,6 +92,8 @@ class ScenePublisher:
         error = error_bound(T_tracker_bone, covariance, vertices)
         self._publish(
             markers.bone(vertices, faces, colours.error_colours(error, limits))
+            + markers.border(border_segments(vertices, faces, error, limits.max_error),
+                             colours.rgb(colours.BORDER))
             + markers.points(on_bone[shown], colours.residual_colours(
                 residuals[shown], weights[shown], limits))
             + self._patches(next_touches))

@@ -18,6 +18,7 @@ from gsdf_registration.common.rigid import Array
 RESIDUAL = ('#08408f', '#3e9bcb', '#f0d264', '#ea7a1f', '#b3120f')  # zero ... the limit and more
 ERROR = ('#ebe3d2', '#c5a5cf', '#86419c', '#531178')                # zero ... the limit and more
 UNUSED = '#8a8f94'      # points that are not inliers
+BORDER = '#1b1f24'      # of the zone
 NEXT = '#00a676'        # places to touch next
 
 

@@ -154,7 +154,7 @@ def _draw_legend(figure: Figure, scene: Scene) -> None:
     _draw_scale(figure, 0.02, colours.RESIDUAL, colours.max_residual(scene.limits),
                 'points: distance from the surface, mm (NOT the accuracy)')
     _draw_scale(figure, 0.36, colours.ERROR, colours.max_error(scene.limits),
-                'bone: expected error (predicted TRE), mm')
+                'bone: 95 % of the errors are smaller, mm; line: border of the zone')
     figure.text(0.02, 0.03, f'{used.sum()} points on the bone; grey: {(~used).sum()} not used',
                 fontsize=10, color='#444444')
 

@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field as item
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsdf_registration.common.config import LimitsConfig
 from gsdf_registration.common.result import NextTouch
@@ -17,6 +19,7 @@ from gsdf_registration.registration.confidence import error_bound
 from gsdf_registration.registration.guidance import PATCH
 from gsdf_registration.visualization import colours
 from gsdf_registration.visualization.raycast import Camera, cast, light
+from gsdf_registration.visualization.zone_border import border_pixels
 
 POINT = 0.0012      # m, radius of a point
 RIM = 0.0012        # m, of a patch
@@ -81,7 +84,7 @@ def render(scene: Scene, camera: Camera) -> View:
     image, height = np.ones((rows * columns, 3)), np.full(rows * columns, -np.inf)
     visible, places = cast(scene.field, camera)
     brightness, normals = light(scene.field, places, camera)
-    colour = _bone_colours(scene, places)
+    colour = _bone_colours(scene, places, visible, camera)
     _blend_patches(colour, places, normals, scene.next_touches)
     image[visible] = colour * brightness[:, None]
     height[visible] = camera.project(places)[2]
@@ -91,12 +94,17 @@ def render(scene: Scene, camera: Camera) -> View:
     return View(camera, image.reshape(rows, columns, 3), height.reshape(rows, columns))
 
 
-def _bone_colours(scene: Scene, places: Array) -> Array:
-    """Return the colours of places on the bone by their expected error."""
+def _bone_colours(scene: Scene, places: Array, visible: NDArray[Any], camera: Camera) -> Array:
+    """Return the colours of places on the bone by their error, with the border of the zone."""
     if scene.T_tracker_bone is None or scene.covariance is None:
         return np.tile(colours.rgb(colours.ERROR[0]), (len(places), 1))
-    return colours.error_colours(error_bound(scene.T_tracker_bone, scene.covariance, places),
-                                 scene.limits)
+    error = error_bound(scene.T_tracker_bone, scene.covariance, places)
+    colour = colours.error_colours(error, scene.limits)
+    shown, inside = np.zeros((2, camera.shape[0] * camera.shape[1]), dtype=bool)
+    shown[visible], inside[visible] = True, error <= scene.limits.max_error
+    border = border_pixels(inside.reshape(camera.shape), shown.reshape(camera.shape))
+    colour[border.ravel()[visible]] = colours.rgb(colours.BORDER)
+    return colour
 
 
 def _blend_patches(colour: Array, places: Array, normals: Array,

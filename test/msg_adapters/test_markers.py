@@ -58,6 +58,7 @@ def test_serialization_agrees_with_rclpy(frame_id: str, labels: list[str]) -> No
 
 def test_shapes_have_the_values_of_ros() -> None:
     known = {Shape.ARROW: Marker.ARROW, Shape.CYLINDER: Marker.CYLINDER,
+             Shape.LINE_LIST: Marker.LINE_LIST,
              Shape.SPHERE_LIST: Marker.SPHERE_LIST, Shape.TEXT: Marker.TEXT_VIEW_FACING,
              Shape.TRIANGLE_LIST: Marker.TRIANGLE_LIST}
     assert set(known) == set(Shape)
