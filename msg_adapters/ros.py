@@ -35,7 +35,7 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from gsdf_registration.common.samples import Sample
 from msg_adapters import stamps
-from msg_adapters.motion import to_matrix
+from msg_adapters.motion import to_matrix, tool_pose
 
 # Name and type of the fields of ~/points, four bytes each
 CLOUD = [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('residual', '<f4'), ('weight', '<f4'),
@@ -64,6 +64,14 @@ def sample_from(message: PointStamped, topic: str = '', arrival: float | None = 
     point, header = message.point, message.header
     return Sample(stamp_to_seconds(header.stamp), (point.x, point.y, point.z), header.frame_id,
                   topic, arrival)
+
+
+def tool_sample_from(message: Any, kind: str, topic: str = '',
+                     arrival: float | None = None) -> Sample:
+    """Return the pose of a tool as a sample; ``kind``: type of the message, of `TOOL_POSES`."""
+    tool, header = tool_pose(message, kind), message.header
+    return Sample(stamp_to_seconds(header.stamp), tool[:3], header.frame_id, topic, arrival,
+                  tool=tool)
 
 
 def pose_from(message: PoseStamped) -> tuple[float, Array, str]:

@@ -83,7 +83,7 @@ def _read_points(args: argparse.Namespace, field: Field,
     from msg_adapters.session_file import read_session
 
     path, T_tracker_bone = Path(args.points), inputs.read_initial(args.initial)
-    landmarks = inputs.read_landmark_file(args.landmarks, config.model.unit, args.unit or 'm')
+    landmarks = landmark_files.read_landmark_files(args, config, args.unit or 'm')
     if path.suffix.lower() == '.json':
         session = Session(config, field)
         session.restore(read_session(path))
@@ -96,7 +96,8 @@ def _read_points(args: argparse.Namespace, field: Field,
     elif args.unit is None:
         raise InputError(f'{path}: the unit of the points is missing; add --unit mm or --unit m')
     else:
-        positions = read_points(path, args.unit).positions
+        axes = landmark_files.axes_of(args, config)
+        positions = read_points(path, args.unit, axes=axes.tracker).positions
         positions = positions[np.isfinite(positions).all(axis=1)]
         zeros = np.zeros(len(positions), np.int32)
         points = without_tools(positions, zeros.astype(np.float64), zeros, zeros)

@@ -107,6 +107,8 @@ class CollectConfig:
     automatic: bool = setting(True, 'start to collect on activation, without a call of ~/collect')
     max_points: int = setting(200_000, 'maximum number of collected points; further points are '
                               'rejected', '', 100, 10_000_000)
+    air: bool = setting(True, 'also use where the probe was in the air, as no bone is there; set it '
+                        'to false if bone of the model has been removed')
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,8 @@ class LandmarksConfig:
                            0.05, 10.0)
     radius: float = setting(0.002, 'a tip that stays within this radius is stationary', 'm', 1e-4,
                             0.02)
+    joint_centre: str = setting('hip_centre', 'landmark that ~/find_joint_centre finds; it is not '
+                                'touched')
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.tool_pose import ToolPose
 
 Position = tuple[float, float, float]
 
@@ -18,26 +19,31 @@ AGREEING = 3
 
 
 class Sample(NamedTuple):
-    """One position of the probe tip as received."""
+    """One position of the probe tip, or one pose of the tool that carries it, as received."""
 
     stamp: float                    # s, clock of the sender
-    position: Position              # m, in `frame_id`; plain floats
+    # m, in `frame_id`; plain floats. Of the tip; of the origin of the tool, if there is `tool`,
+    # until the session applies ``probe.tip``
+    position: Position
     frame_id: str
     topic: str                      # topic, tool or file it came from
     arrival: float | None = None    # s, local clock
     quality: float | None = None    # m, error estimate of the tracker
     stroke: int = 0                 # stroke number in a recording, 0 if there is none
+    tool: ToolPose | None = None    # pose of the tool in `frame_id`; None: the tip was received
 
 
 class Rejection(str, Enum):
     """The cause for which a sample was rejected."""
 
     NOT_FINITE = 'not_finite'
+    BAD_QUATERNION = 'bad_quaternion'   # the orientation of a tool is not a unit quaternion
     WRONG_FRAME = 'wrong_frame'
     NO_REFERENCE = 'no_reference'   # no pose of the reference array at this stamp
     NOT_MONOTONIC = 'not_monotonic'
     STALE = 'stale'
     POOR_QUALITY = 'poor_quality'
+    CALIBRATING = 'calibrating'     # used to find the tip of the probe or a joint centre
     NOT_COLLECTING = 'not_collecting'
     TOUCHED = 'touched'     # stationary tip at a landmark or verification point, not for the fit
     DUPLICATE = 'duplicate'
@@ -54,8 +60,9 @@ class Rejection(str, Enum):
         return self in _INVALID
 
 
-_INVALID = frozenset({Rejection.NOT_FINITE, Rejection.WRONG_FRAME, Rejection.NO_REFERENCE,
-                      Rejection.NOT_MONOTONIC, Rejection.STALE, Rejection.POOR_QUALITY})
+_INVALID = frozenset({Rejection.NOT_FINITE, Rejection.BAD_QUATERNION, Rejection.WRONG_FRAME,
+                      Rejection.NO_REFERENCE, Rejection.NOT_MONOTONIC, Rejection.STALE,
+                      Rejection.POOR_QUALITY})
 
 
 class SampleSink(Protocol):
@@ -64,6 +71,12 @@ class SampleSink(Protocol):
     @property
     def config(self) -> Config:
         """Settings in force."""
+
+    def take(self, sample: Sample) -> bool:
+        """Use a sample as it was received, in any frame, for a calibration; return whether so."""
+
+    def add_reference_pose(self, stamp: float, T: Array) -> None:
+        """Receive a pose (4, 4), m, of the reference array in the tracker frame."""
 
     def add(self, sample: Sample) -> Rejection | None:
         """Store a sample; return the cause if it is rejected."""
@@ -82,3 +95,11 @@ class Points(NamedTuple):
     stamps: Array           # (n,) s, clock of the sender
     strokes: np.ndarray     # (n,) int32 from 1, with gaps after an undo, rising within a source
     sources: np.ndarray     # (n,) int32, index of the topic
+    # (n, 7) poses of the tool, see `tool_pose`; NaN: the tip was received
+    tools: Array = np.empty((0, 7))
+
+
+def without_tools(positions: Array, stamps: Array, strokes: np.ndarray,
+                  sources: np.ndarray) -> Points:
+    """Return points (n,) that were received as positions of the tip."""
+    return Points(positions, stamps, strokes, sources, np.full((len(stamps), 7), np.nan))

@@ -199,7 +199,7 @@ def _full_topic_name(node: Node, topic: str) -> str:
 def parameter_type(setting: dataclasses.Field[Any]) -> Parameter.Type:
     """Return the type of the parameter of a setting of `settings`."""
     if _is_list(setting):
-        return (Parameter.Type.DOUBLE_ARRAY if setting.name == 'positions' else
+        return (Parameter.Type.DOUBLE_ARRAY if setting.metadata['items'] is float else
                 Parameter.Type.STRING_ARRAY)
     return TYPES[type(default_value(setting))]
 

@@ -57,6 +57,11 @@ class AcceptedRegistration:
         return tuple(report_strokes(Points(*(column[registered] for column in points)),
                             residuals[registered], weights[registered]))
 
+    @property
+    def uses_tools(self) -> bool:
+        """Whether it used a point that was received as the pose of a tool."""
+        return not np.isnan(self.points.tools).all()
+
     def uses(self, source: int, since: float) -> bool:
         """Return whether it used a point of ``source`` stamped ``since``, s, or later."""
         return bool(((self.points.sources == source) & (self.points.stamps >= since)).any())

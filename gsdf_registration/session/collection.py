@@ -11,6 +11,7 @@ the collection: collecting, not a duplicate, not too fast, not full.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +20,12 @@ from numpy.typing import NDArray
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import MAX_COORDINATE
-from gsdf_registration.common.samples import Points, Position, Rejection, Sample
+from gsdf_registration.common.samples import Points, Position, Rejection, Sample, without_tools
+from gsdf_registration.common.tool_pose import is_valid, tip_positions
 from gsdf_registration.session.tip_stream import TipStream
 
 INITIAL_CAPACITY = 1024     # points
+NO_TOOL = np.full(7, np.nan)
 
 
 @dataclass
@@ -169,6 +172,21 @@ class Collection:
         self._serials = np.concatenate([serials, np.empty(INITIAL_CAPACITY, np.int64)])
         self._size = len(serials)
 
+    @property
+    def has_tools(self) -> bool:
+        """Whether any point was received as the pose of a tool."""
+        return not np.isnan(self._points.tools[:self._size, 0]).all()
+
+    def apply_tip(self, tip: Sequence[float]) -> None:
+        """Compute the positions of the points anew from their tool poses, see `tip_positions`."""
+        points = self.points()
+        rows = ~np.isnan(points.tools[:, 0])
+        positions = points.positions.copy()
+        positions[rows] = tip_positions(points.tools[rows], tip)
+        self._store(points._replace(positions=positions), self.serials())
+        for stream in self._streams.values():
+            stream.forget_places()
+
     def add(self, sample: Sample, source: int, config: Config) -> Rejection | None:
         """
         Add a sample, or return why it is rejected; takes some microseconds.
@@ -223,6 +241,8 @@ class Collection:
         if not (abs(x) < MAX_COORDINATE and abs(y) < MAX_COORDINATE and abs(z) < MAX_COORDINATE
                 and math.isfinite(sample.stamp)):
             return Rejection.NOT_FINITE
+        if sample.tool is not None and not is_valid(sample.tool):
+            return Rejection.BAD_QUATERNION
         if self.frame_id is None:
             self.frame_id = sample.frame_id
         return Rejection.WRONG_FRAME if sample.frame_id != self.frame_id else None
@@ -241,6 +261,7 @@ class Collection:
         self._points.stamps[row] = sample.stamp
         self._points.strokes[row] = self.last_stroke = stream.stroke
         self._points.sources[row] = source
+        self._points.tools[row] = NO_TOOL if sample.tool is None else sample.tool
         self._serials[row] = self._next_serial
         self._next_serial += 1
         self._size = row + 1
@@ -265,6 +286,8 @@ class Collection:
             raise InputError(f'the points are in frame "{frame_id}", but probe.frame_id is '
                              f'"{expected}"')
         self.clear(expected if frame_id is None else frame_id)
+        if len(points.tools) < len(points.stamps):
+            points = without_tools(*points[:4])
         size = len(points.stamps)
         self._store(points, self._next_serial + np.arange(size))
         self._next_serial += size
@@ -278,7 +301,7 @@ class Collection:
 
 def _allocate(count: int) -> Points:
     return Points(np.empty((count, 3)), np.empty(count), np.empty(count, np.int32),
-                  np.empty(count, np.int32))
+                  np.empty(count, np.int32), np.empty((count, 7)))
 
 
 def _read_only(column: NDArray) -> NDArray:

@@ -8,7 +8,8 @@ reached, over soft tissue and some millimetres off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from gsdf_registration.common.config import LandmarksConfig
 from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, transform
+from gsdf_registration.common.tool_pose import TIP_UNKNOWN, ToolPose, tip_position
 from gsdf_registration.registration.landmarks import MIN_LANDMARKS, disagreement
 from gsdf_registration.session.stationary_tip import StationaryTip, StationaryTipDetector
 
@@ -42,6 +44,8 @@ class CapturedLandmark:
     tracker: Array      # (3,) m, session frame
     spread_m: float     # root mean square of the samples about their mean
     stamp: float        # s
+    tool: ToolPose | None = None    # mean pose of the tool, session frame; None: not received
+    sigma_m: float = 0.0    # per axis, of a joint centre; 0: ``landmarks.sigmas`` applies
 
 
 class LandmarkCapture:
@@ -49,6 +53,22 @@ class LandmarkCapture:
 
     def __init__(self) -> None:
         self.captured: list[CapturedLandmark] = []
+
+    def add_joint_centre(self, found: CapturedLandmark) -> None:
+        """Add the centre of a joint, or replace the one found before."""
+        self.captured = [each for each in self.captured if each.name != found.name] + [found]
+
+    def apply_tip(self, tip: Sequence[float]) -> None:
+        """Compute the touched positions anew from the tool poses, see `tip_position`."""
+        self.captured = [
+            each if each.tool is None else
+            replace(each, tracker=np.array(tip_position(each.tool, tip)))
+            for each in self.captured]
+
+    @property
+    def has_tools(self) -> bool:
+        """Whether any landmark was touched with a tool whose pose was received."""
+        return any(each.tool is not None for each in self.captured)
 
     def check(self, config: LandmarksConfig, before: LandmarksConfig) -> None:
         """Raise `InputError` if these settings change a landmark that is captured."""
@@ -62,7 +82,7 @@ class LandmarkCapture:
 
     def remaining(self, config: LandmarksConfig) -> list[str]:
         """Return the names of the landmarks that are not captured yet."""
-        captured = {each.name for each in self.captured}
+        captured = {each.name for each in self.captured} | {config.joint_centre}
         return [name for name in config.names if name not in captured]
 
     @property
@@ -80,8 +100,13 @@ class LandmarkCapture:
         return found if len(found) >= MIN_LANDMARKS else found.measured
 
     def capture(self, detector: StationaryTipDetector, config: LandmarksConfig,
-                now: float | None) -> tuple[Answer, StationaryTip | None]:
-        """Capture the next landmark, or return why not; also return the tip that was used."""
+                now: float | None, tip_missing: bool = False
+                ) -> tuple[Answer, StationaryTip | None]:
+        """
+        Capture the next landmark, or return why not; also return the tip that was used.
+
+        ``tip_missing``: the place of the tip on the tool is not known, so positions follow later.
+        """
         if not config.names:
             return Answer(False, 'no landmarks are named; set landmarks.names and '
                           'landmarks.positions'), None
@@ -101,10 +126,11 @@ class LandmarkCapture:
         row = 3 * config.names.index(name)
         model = np.array(config.positions[row:row + 3])
         self.captured.append(
-            CapturedLandmark(name, model, tip.position, tip.spread_rms, tip.stamp))
+            CapturedLandmark(name, model, tip.position, tip.spread_rms, tip.stamp, tip.tool))
         following = f'next is "{remaining[1]}"' if len(remaining) > 1 else 'this was the last one'
         captured = self.landmarks
-        warning = disagreement(captured.names, captured.model, captured.touched)
+        warning = TIP_UNKNOWN if tip_missing else disagreement(captured.names, captured.model,
+                                                               captured.touched)
         return Answer(True, '; '.join(filter(None, (
             f'landmark "{name}" captured from {tip.samples} samples, spread '
             f'{1e3 * tip.spread_rms:.2f} mm RMS', warning, following))), (name, tip)), tip

@@ -19,10 +19,12 @@ from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points, Rejection, Sample
+from gsdf_registration.common.tool_pose import TIP_UNKNOWN
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.registration.pipeline import register
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
+from gsdf_registration.session.calibrations import Calibrations
 from gsdf_registration.session.events import Listener
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.notices import Notices
@@ -38,6 +40,12 @@ class Session:
     One bone, whose model may be loaded later, and one or more probes; thread-safe.
 
     It is the `SampleSink` of the point transformer.
+
+    Attributes
+    ----------
+    calibrations : Calibrations
+        Searches for the tip of the probe and for the centre of a joint.
+
     """
 
     def __init__(self, config: Config, field: Field | None = None) -> None:
@@ -45,6 +53,7 @@ class Session:
         self._state = SessionState(config, field)
         self._notices = Notices(self._state)
         self._solving = False
+        self.calibrations = Calibrations(self._lock, self._state, self._notices)
         # changes when the model changes or points are dropped: a running registration is then void
         self._generation = 0
 
@@ -76,6 +85,14 @@ class Session:
         """
         with self._lock:
             self._notices.set(text, warning)
+
+    def take(self, sample: Sample) -> bool:
+        """Use a sample as it was received for a calibration that runs; return whether so."""
+        return self.calibrations.take(sample)
+
+    def add_reference_pose(self, stamp: float, T: Array) -> None:
+        """Use a pose (4, 4), m, of the reference array for a calibration that runs."""
+        self.calibrations.add_reference_pose(stamp, T)
 
     def add(self, sample: Sample) -> Rejection | None:
         """
@@ -150,9 +167,11 @@ class Session:
         """Drop all points, landmarks and verification points, and withdraw the pose."""
         with self._lock:
             registered = self._state.accepted is not None
+            calibrating = self.calibrations.progress is not None
             self._clear(None)
             return Answer(True, 'dropped all points, landmarks and verification points'
-                          + ('; the pose is withdrawn' if registered else ''))
+                          + ('; the pose is withdrawn' if registered else '')
+                          + ('; the calibration is cancelled' if calibrating else ''))
 
     def withdraw_pose(self, reason: Withdrawal, message: str) -> None:
         """Withdraw the accepted registration, if there is one; the points stay."""
@@ -179,6 +198,7 @@ class Session:
             return self._state.guess
 
     def _clear(self, reason: str | None) -> None:
+        self.calibrations.drop()
         self._state.clear(reason)
         self._notices.clear()
         self._generation += 1
@@ -221,6 +241,8 @@ class Session:
             if field is None:
                 return RegistrationResult.refused(
                     Reason.NO_MODEL, 'no bone model is loaded; set model.path')
+            if state.tip_missing:
+                return RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN)
             points, serials = state.collection.points(), state.collection.serials()
             received, frame_id = state.collection.received, state.collection.frame_id or ''
             if landmarks is None:
@@ -289,6 +311,9 @@ class Session:
         """
         Apply new settings; points and landmarks stay as they are.
 
+        With another ``probe.tip`` everything that was touched with a tool has another position.
+        The accepted registration is withdrawn if it used such points.
+
         Raises
         ------
         InputError
@@ -296,7 +321,14 @@ class Session:
 
         """
         with self._lock:
-            self._state.configure(config)
+            state, revision = self._state, self._state.revision
+            accepted = state.accepted
+            state.configure(config)
+            if state.revision != revision:
+                self._generation += 1       # a running registration uses the former positions
+            if accepted is not state.accepted and state.withdrawn is not None:
+                self._notices.on_undo()
+                self._notices.set(state.withdrawn.message, warning=True)
 
     @property
     def collecting(self) -> bool:
@@ -328,6 +360,7 @@ class Session:
         -------
         revision : int
             If it differs from the argument, points were dropped or replaced; all are returned then.
+            While the tip of a tool is not known there are none.
         frame_id : str
         points : Points
             Read-only views.
@@ -336,6 +369,8 @@ class Session:
         state = self._state
         with self._lock:
             begin = count if revision == state.revision else 0
+            if state.tip_missing:       # the positions of the tip are not known yet
+                begin = len(state.collection)
             return (state.revision, state.collection.frame_id or '', state.collection.points(begin))
 
     def registered_points(self) -> Points | None:
@@ -351,7 +386,8 @@ class Session:
     def status(self) -> Status:
         """Return a snapshot for the operator."""
         with self._lock:
-            return make_status(self._state, self._solving, self._notices)
+            return make_status(self._state, self._solving, self._notices,
+                               self.calibrations.progress)
 
     def to_dict(self) -> dict[str, Any]:
         """

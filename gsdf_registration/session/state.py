@@ -15,13 +15,20 @@ from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points, Rejection, Sample
+from gsdf_registration.common.tool_pose import (
+    TIP_UNKNOWN,
+    ToolPose,
+    is_valid,
+    normalized,
+    tip_position,
+)
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.registration.stroke_report import StrokeReport, interference_message
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
 from gsdf_registration.session.collection import Collection, Stroke
 from gsdf_registration.session.events import Listener
-from gsdf_registration.session.landmark_capture import Answer, LandmarkCapture
+from gsdf_registration.session.landmark_capture import Answer, CapturedLandmark, LandmarkCapture
 from gsdf_registration.session.pose_changes import InitialPose, WithdrawnPose
 from gsdf_registration.session.record import SessionRecord, fit_of
 from gsdf_registration.session.result_record import result_to_dict
@@ -32,6 +39,7 @@ from gsdf_registration.session.verification import (
     make_verification,
     measured_again,
     surface_distance,
+    with_tip,
 )
 
 
@@ -51,6 +59,7 @@ class SessionState:
         self._accepted_last = False     # whether the last attempt since a clear was accepted
         self.withdrawn: WithdrawnPose | None = None     # the last withdrawal since the last pose
         self.initial_pose: InitialPose | None = None
+        self.tools_received = False     # whether poses of a tool arrive, since the last clear
         self._begin()
         # changes whenever points are dropped or replaced, so that followers start again
         self.revision = 0
@@ -69,7 +78,7 @@ class SessionState:
         """Report every change to ``listener``; ``from_start``: first the whole session."""
         self._listeners.append(listener)
         if from_start:
-            listener('session', self.record().to_dict(self.config, packed=True))
+            listener('session', self.record().to_dict(self.config))
             return
         listener('model', self._model_sha256)
         listener('collecting', self.collection.collecting)
@@ -95,16 +104,26 @@ class SessionState:
         if source is None:
             source = self._source_of[sample.topic] = len(self._source_of)
             self._report('source', sample.topic)
+        if sample.tool is not None:
+            self.tools_received = True
+            sample = self._at_tip(sample, sample.tool)
         rejection = self.collection.add(sample, source, self.config)
         if rejection is None:
             self._report_frame()
             self._report('point', [self.collection.last_stroke, source, sample.stamp,
-                                   *sample.position])
+                                   *sample.position, *(sample.tool or ())])
         else:
             self._report('rejected', {rejection.value: 1})
         if rejection is None or not rejection.invalidates_sample:
             self.tip.add(sample, source, self.config.landmarks)
         return rejection
+
+    def _at_tip(self, sample: Sample, tool: ToolPose) -> Sample:
+        """Return a sample with the position of the tip, if the pose of its tool is valid."""
+        if not is_valid(tool):
+            return sample
+        tool = normalized(tool)
+        return sample._replace(position=tip_position(tool, self.config.probe.tip), tool=tool)
 
     def count_rejected(self, counts: Mapping[str, int]) -> None:
         """Count samples that were rejected before they were added, by cause."""
@@ -148,6 +167,7 @@ class SessionState:
         self.collection.clear(self.config.points_frame)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
         self.verifications = []
+        self.tools_received = False
         self._reported_frame = None
         self.refusal = None
         self._begin()
@@ -196,11 +216,17 @@ class SessionState:
 
     def capture_landmark(self, now: float | None) -> Answer:
         """Capture the stationary tip as the next landmark; its points are not used in the fit."""
-        answer, tip = self.landmarks.capture(self.tip, self.config.landmarks, now)
+        answer, tip = self.landmarks.capture(self.tip, self.config.landmarks, now,
+                                             self.tools_received and not self.config.probe.tip)
         if tip is not None:
             self._withdraw(tip)
             self._report('landmark', plain(self.landmarks.captured[-1]))
         return answer
+
+    def add_joint_centre(self, landmark: CapturedLandmark) -> None:
+        """Store the centre of a joint as a landmark."""
+        self.landmarks.add_joint_centre(landmark)
+        self._report('landmark', plain(landmark))
 
     def verify(self, now: float | None) -> Answer:
         """Measure the stationary tip against the accepted registration."""
@@ -216,6 +242,8 @@ class SessionState:
             tip = self.tip.detect(self.config.landmarks, now)
         except InputError as error:
             return Answer(False, f'not verified: {error.message}')
+        if tip.tool is not None and not self.config.probe.tip:
+            return Answer(False, f'not verified: {TIP_UNKNOWN}')
         if accepted.uses(tip.source, tip.since):
             return Answer(
                 False, 'not verified: the tip has not moved since before the registration, which '
@@ -293,7 +321,32 @@ class SessionState:
                 raise InputError('the session contains points or landmarks; clear before changing '
                                  'probe.frame_id')
             self.collection.expect_frame(config.points_frame)
-        self.config = config
+        before, self.config = self.config, config
+        if config.probe.tip != before.probe.tip:
+            self._apply_tip(config.probe.tip)
+
+    def _apply_tip(self, tip: list[float]) -> None:
+        """Move everything that was touched with a tool to this tip, (3,) m or empty."""
+        if self.collection.has_tools:
+            self.collection.apply_tip(tip)
+            self.revision += 1
+        self.landmarks.apply_tip(tip)
+        self.tip = StationaryTipDetector()
+        self.verifications = with_tip(self.verifications, tip)
+        accepted = self.accepted
+        if accepted is not None and accepted.uses_tools:
+            assert self.field is not None and accepted.result.T_bone_tracker is not None
+            self.verifications = measured_again(self.verifications, self.field,
+                                                accepted.result.T_bone_tracker)
+            self.withdraw_pose(Withdrawal.TIP_CHANGED, 'the pose is withdrawn because the tip of '
+                               'the probe was calibrated or set anew: register again')
+        self._report('tip', {'tip': tip, 'landmarks': plain(self.landmarks.captured),
+                             'verifications': plain(self.verifications)})
+
+    @property
+    def tip_missing(self) -> bool:
+        """Whether anything was touched with a tool whose tip is not known."""
+        return not self.config.probe.tip and (self.collection.has_tools or self.landmarks.has_tools)
 
     @property
     def result(self) -> RegistrationResult | None:
@@ -363,7 +416,7 @@ class SessionState:
         self.refusal = last if last is not None and not last.success else None
         self._accepted_last = last is not None and last.success
         self.revision += 1
-        self._report('session', self.record().to_dict(self.config, packed=True))
+        self._report('session', self.record().to_dict(self.config))
 
     def _report_frame(self) -> None:
         if self._reported_frame != self.collection.frame_id:

@@ -13,6 +13,7 @@ from gsdf_registration.common.config import LandmarksConfig
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import AGREEING, Position, Sample
+from gsdf_registration.common.tool_pose import ToolPose, mean_pose
 
 # of a source: 2 s at 10 kHz; bounds the memory whatever the stamps are
 MAX_SAMPLES = 20_000
@@ -31,6 +32,7 @@ class StationaryTip:
     stamp: float        # of the last sample, s
     source: int
     since: float        # it has been near that place from here on, s
+    tool: ToolPose | None = None    # mean pose of the tool, session frame; None: not received
 
 
 class StationaryTipDetector:
@@ -93,7 +95,7 @@ class _RecentSamples:
     """The last samples of one source, and where it has been since when."""
 
     def __init__(self, first: Sample) -> None:
-        self.samples: deque[tuple[float, Position]] = deque(maxlen=MAX_SAMPLES)
+        self.samples: deque[tuple[float, Position, ToolPose | None]] = deque(maxlen=MAX_SAMPLES)
         self.arrival: float | None = None
         self._anchor, self._anchor_stamp = first.position, first.stamp
         self._away: list[tuple[float, Position]] = []   # last samples in a row far from the anchor
@@ -102,7 +104,7 @@ class _RecentSamples:
         stamp, position, samples = sample.stamp, sample.position, self.samples
         if samples and stamp - samples[-1][0] > 0.5 * config.dwell:
             samples.clear()     # after a gap: where the tip was meanwhile is unknown
-        samples.append((stamp, position))
+        samples.append((stamp, position, sample.tool))
         while len(samples) > 1 and samples[1][0] <= stamp - config.dwell:
             samples.popleft()   # the first one left is at least as old as the dwell
         self.arrival = sample.arrival
@@ -121,13 +123,17 @@ class _RecentSamples:
     def mean(self, source: int, dwell: float, radius: float) -> StationaryTip:
         """Return the mean over the dwell without a few outliers, and the spread about it."""
         last = self.samples[-1][0]
-        positions = np.array(
-            [position for stamp, position in self.samples if stamp >= last - dwell])
+        recent = [each for each in self.samples if each[0] >= last - dwell]
+        positions = np.array([position for _, position, _ in recent])
         off = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
         # the first and last samples are no outliers: if they are off, the tip arrives or leaves
+        kept = np.ones(len(recent), dtype=bool)
         if max(off[0], off[-1]) <= radius and np.mean(off > radius) <= MAX_OUTLIERS:
-            positions = positions[off <= radius]
+            kept = off <= radius
+        positions = positions[kept]
+        tools = [tool for (_, _, tool), use in zip(recent, kept) if use and tool is not None]
         mean = positions.mean(axis=0)
         distances = np.linalg.norm(positions - mean, axis=1)
         return StationaryTip(mean, float(np.sqrt(np.mean(distances**2))), float(distances.max()),
-                             len(positions), last, source, self._anchor_stamp)
+                             len(positions), last, source, self._anchor_stamp,
+                             mean_pose(tools) if tools else None)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.common.samples import Rejection
+from gsdf_registration.common.tool_pose import TIP_UNKNOWN
 from gsdf_registration.registration.stroke_report import StrokeReport
+from gsdf_registration.session.calibration import CalibrationProgress
 from gsdf_registration.session.landmark_capture import CapturedLandmark
 from gsdf_registration.session.notices import Notices
 from gsdf_registration.session.pose_changes import WithdrawnPose
@@ -44,11 +46,14 @@ class Status:
     pose_stamp: float = 0.0     # s, of the newest point that the accepted registration used
     withdrawn: WithdrawnPose | None = None      # the pose withdrawn last; None after the next one
     captured: tuple[CapturedLandmark, ...] = ()
+    calibration: CalibrationProgress | None = None      # of one that runs
     full: bool = False          # whether collecting has stopped because no more points fit
 
 
 _ADVICE = {
     Rejection.NOT_FINITE: 'most samples are not numbers: is the probe in view of the tracker?',
+    Rejection.BAD_QUATERNION:
+        'most poses of the tool have no unit quaternion: does the driver fill in the orientation?',
     Rejection.WRONG_FRAME:
         'most points are in another frame than the first: set probe.frame_id or clear',
     Rejection.NO_REFERENCE:
@@ -81,7 +86,8 @@ def accepted_stays(state: SessionState) -> str:
         '; the accepted registration stays until the next one')
 
 
-def make_status(state: SessionState, solving: bool, notices: Notices) -> Status:
+def make_status(state: SessionState, solving: bool, notices: Notices,
+                calibration: CalibrationProgress | None = None) -> Status:
     """Return the status of a session; ``solving``: whether a registration runs."""
     collection = state.collection
     accepted = None if state.accepted is None else state.accepted.result
@@ -95,7 +101,9 @@ def make_status(state: SessionState, solving: bool, notices: Notices) -> Status:
         name = 'registered' if state.result.success else 'refused'
     return Status(
         state=name,
-        message='; '.join(filter(None, (_sentence(name, state, remaining), notices.text))),
+        message='; '.join(filter(None, (
+            '' if calibration is None else calibration.sentence,
+            _sentence(name, state, remaining), notices.text))),
         received=collection.received,
         kept=len(collection),
         rejected=dict(collection.counts),
@@ -113,12 +121,13 @@ def make_status(state: SessionState, solving: bool, notices: Notices) -> Status:
         else state.landmarks.errors(accepted.T_tracker_bone),
         verification=summarize(state.verifications, state.config.limits.verification),
         notice=notices.text,
-        warning=notices.warning,
+        warning=notices.warning or tip_unknown(state),
         session_id=state.session_id,
         registration_id=state.registration_id,
         pose_stamp=0.0 if state.accepted is None else state.accepted.newest,
         withdrawn=state.withdrawn,
         captured=tuple(state.landmarks.captured),
+        calibration=calibration,
         full=_is_full(state))
 
 
@@ -145,6 +154,8 @@ def input_problem(state: SessionState) -> str:
     collection, counts = state.collection, state.collection.counts
     if _is_full(state):
         return _ADVICE[Rejection.FULL]
+    if tip_unknown(state):
+        return TIP_UNKNOWN
     while_collecting = collection.received - counts[Rejection.NOT_COLLECTING.value]
     expected = state.config.points_frame
     advice = _ADVICE if not expected else _ADVICE | {
@@ -155,6 +166,11 @@ def input_problem(state: SessionState) -> str:
     if collection.frame_id == '':
         return 'the points have no frame: header.frame_id must be set by their driver'
     return ''
+
+
+def tip_unknown(state: SessionState) -> bool:
+    """Return whether poses of a tool arrive, or were collected, and its tip is not known."""
+    return state.tip_missing or (state.tools_received and not state.config.probe.tip)
 
 
 def _is_full(state: SessionState) -> bool:

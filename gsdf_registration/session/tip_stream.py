@@ -63,6 +63,12 @@ class TipStream:
         """Reject points until one is farther than ``radius`` from ``place``."""
         self._excluded, self._excluded_radius = place, radius
 
+    def forget_places(self) -> None:
+        """Forget where the tip was, because its place on the tool changes; the stroke goes on."""
+        self._last = self._plausible = self._outlier = self._excluded = None
+        self._outlier_count = self._turning = 0
+        self._trail.clear()
+
     def check_sample(self, sample: Sample, gate: GateConfig) -> Rejection | None:
         """Check stamp, age and quality of a sample."""
         stamp, arrival, quality = sample.stamp, sample.arrival, sample.quality

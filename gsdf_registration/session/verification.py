@@ -16,6 +16,7 @@ import numpy as np
 
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.rigid import Array, transform
+from gsdf_registration.common.tool_pose import ToolPose, tip_position
 from gsdf_registration.field import Field
 from gsdf_registration.session.stationary_tip import StationaryTip
 
@@ -31,6 +32,7 @@ class Verification:
     stamp: float            # s
     checkpoint: int         # number of the place, from 1
     moved_m: float | None   # since the place was first touched; None: first touch
+    tool: ToolPose | None = None    # mean pose of the tool, session frame; None: not received
 
     def within(self, limit: float) -> bool:
         """Return whether distance and displacement are within ``limit``, m."""
@@ -77,7 +79,23 @@ def make_verification(tip: StationaryTip, distance: float,
     again = nearest > 0 and away[nearest] <= SAME_PLACE
     return Verification(tip.position, distance, tip.stamp,
                         nearest if again else max(first, default=0) + 1,
-                        away[nearest] if again else None)
+                        away[nearest] if again else None, tip.tool)
+
+
+def with_tip(verifications: Sequence[Verification],
+             tip: Sequence[float]) -> list[Verification]:
+    """
+    Return the verification points with their positions computed anew from the tool poses.
+
+    Their distances to the surface stay those that were measured, see `measured_again`.
+    """
+    moved, first = [], dict[int, Array]()
+    for each in verifications:
+        position = each.position if each.tool is None else np.array(tip_position(each.tool, tip))
+        start = first.setdefault(each.checkpoint, position)
+        distance = None if each.moved_m is None else float(np.linalg.norm(position - start))
+        moved.append(replace(each, position=position, moved_m=distance))
+    return moved
 
 
 def measured_again(verifications: Sequence[Verification], field: Field,

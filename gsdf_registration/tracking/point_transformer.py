@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.common.samples import Rejection, Sample, SampleSink
+from gsdf_registration.common.tool_pose import moved
 from gsdf_registration.tracking.clock import ClockMonitor
 from gsdf_registration.tracking.frame_resolver import FrameResolver
 from gsdf_registration.tracking.frames import Frames
@@ -77,11 +78,13 @@ class PointTransformer:
             self._restart(accepted[0].stamp,
                           f'the stamps of {sample.topic} went back by {went_back:.1f} s')
         for each in accepted:
-            self._transform_or_wait(each)
+            if not self._sink.take(each):
+                self._transform_or_wait(each)
 
     def add_pose(self, stamp: float, T: Array, frame_id: str) -> None:
         """Add the pose ``T`` (4, 4), m, of the reference array in ``frame_id``."""
         self._resolver.add_pose(stamp, T, frame_id, self._sink.config)
+        self._sink.add_reference_pose(stamp, T)
         for source in self._sources.values():
             source.pose = stamp
         self.process()
@@ -166,7 +169,8 @@ class PointTransformer:
             return True
         if T is not None:
             x, y, z = transform(T, sample.position).tolist()
-            sample = sample._replace(position=(x, y, z), frame_id=config.points_frame)
+            tool = None if sample.tool is None else moved(T, sample.tool)
+            sample = sample._replace(position=(x, y, z), frame_id=config.points_frame, tool=tool)
         source.problem = ''
         self._sink.add(sample)
         return True

@@ -30,6 +30,16 @@ class Sink:
         self.added: list[Sample] = []
         self.rejected: list[tuple[Sample, str]] = []
         self.restarts: list[str] = []
+        self.calibrating = False
+        self.taken: list[Sample] = []
+        self.reference_poses: list[float] = []
+
+    def take(self, sample: Sample) -> bool:
+        self.taken += [sample] * self.calibrating
+        return self.calibrating
+
+    def add_reference_pose(self, stamp: float, T: np.ndarray) -> None:
+        self.reference_poses.append(stamp)
 
     def add(self, sample: Sample) -> None:
         self.added.append(sample)
