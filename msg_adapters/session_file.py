@@ -13,8 +13,9 @@ Schema "gsdf-session/3"; SI units, frames by name; null means unknown:
   checkpoint and how far it has moved since it was first touched;
 - ``result``: the last registration; ``pose_result``: the accepted registration;
 - ``parameters``: the settings by dotted name;
-- ``points``: one per line, with the columns in ``columns``: stroke, number of its source (from 0),
-  stamp, position, and its residual and weight in the accepted registration;
+- ``columns``: names of the numbers of a point: stroke, number of its source (from 0), stamp,
+  position, and its residual and weight in the accepted registration;
+- ``points``: one per line;
 - ``sha256``: of all lines before this one, without the last comma.
 
 A file whose checksum does not fit is not read.  A session file that contains another session is
@@ -25,24 +26,27 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import itertools
 import json
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import shortened
 from msg_adapters.files import absolute_path, irregular, open_file, write_atomically
+from msg_adapters.point_lines import lines_of, points_of
 
 SCHEMA = 'gsdf-session/3'
 SUFFIX = '.json'
 MAX_NAME = 200      # bytes of a file name, so that journals and backups can have longer ones
 MAX_SIZE = 256_000_000      # bytes of a file that is read; 200,000 points take 25 MB
-PART = 1000         # points
+MAX_LINE = 1 << 20      # bytes read at a time
 _SCHEMA = re.compile(rb'\s*\{\s*"schema"\s*:\s*"(gsdf-session/\d+)"')
-_CHECKSUM = re.compile(rb',\n  "sha256": "([0-9a-f]{64})"\n\}\n\Z')
+_POINTS = b'  "points": ['  # the line before the points
 _encode = json.JSONEncoder(allow_nan=False).encode
 
 Identity = tuple[int, int, int, int]
@@ -62,7 +66,7 @@ def session_path(path: str | os.PathLike[str]) -> Path:
 def write_session(path: str | os.PathLike[str], session: dict[str, Any],
                   replaces: Identity | None = None) -> Path | None:
     """
-    Write a session record (`Session.to_dict`) in one step.
+    Write a session record (`Session.to_dict`) in one step, and a part at a time.
 
     Parameters
     ----------
@@ -85,12 +89,15 @@ def write_session(path: str | os.PathLike[str], session: dict[str, Any],
 
     """
     path, kept = Path(path), None
+    points = session['points']
+    head = {'schema': SCHEMA, 'saved': now()} | session | {'columns': list(points.dtype.names)}
+    del head['points']
     try:
-        text = ''.join(_lines({'schema': SCHEMA, 'saved': now()} | session))
+        text = ''.join(_lines(head)).removesuffix('\n}')
     except (TypeError, ValueError) as error:
         raise InputError(f'{path}: the session cannot be written as JSON: {error}') from None
-    text = text.removesuffix('\n}')
-    text += f',\n  "sha256": "{hashlib.sha256(text.encode()).hexdigest()}"\n}}\n'
+    end = '\n  ]' if len(points) else ']'
+    blocks = itertools.chain([text, ',\n  "points": ['], lines_of(points), [end])
     _check_replaceable(path)
 
     def keep() -> None:
@@ -100,7 +107,7 @@ def write_session(path: str | os.PathLike[str], session: dict[str, Any],
             _check_replaceable(path)
             kept = _keep(path)
 
-    write_atomically(path, text, before=keep)
+    write_atomically(path, _signed(blocks), before=keep)
     return kept
 
 
@@ -116,35 +123,59 @@ def read_session(path: str | os.PathLike[str], limit: int = MAX_SIZE) -> dict[st
     """
     with open_file(path, limit) as file:
         try:
-            content = file.read(limit)
+            schema = _SCHEMA.match(file.read(256))
+            if schema is None or schema[1].decode() != SCHEMA:
+                older = schema is not None and schema[1] in (b'gsdf-session/1', b'gsdf-session/2')
+                raise InputError(f'{path} is not a session of schema {SCHEMA}' + (
+                    ', but of an earlier one without a checksum' if older else ''))
+            file.seek(0)
+            return _parsed(_checked(file))
         except OSError as error:
             raise InputError(f'{path} cannot be read: {error.strerror}') from None
-    schema = _SCHEMA.match(content)
-    if schema is None or schema[1].decode() != SCHEMA:
-        older = schema is not None and schema[1] in (b'gsdf-session/1', b'gsdf-session/2')
-        raise InputError(f'{path} is not a session of schema {SCHEMA}' + (
-            ', but of an earlier one without a checksum' if older else ''))
-    end = _CHECKSUM.search(content, max(len(content) - 100, 0))
-    if end is None or end[1].decode() != hashlib.sha256(content[:end.start()]).hexdigest():
-        raise InputError(f'{path} is damaged: its content does not fit its checksum; load another '
-                         'session file')
-    try:
-        return _parsed(content[:end.start()])
-    except (ValueError, RecursionError):
-        raise InputError(f'{path} is damaged: it is not valid JSON') from None
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            raise InputError(f'{path} is damaged: its content does not fit its checksum; load '
+                             'another session file') from None
 
 
-def _parsed(content: bytes) -> dict[str, Any]:
-    """Return a session from JSON without its last brace; many points are parsed in parts."""
-    # json holds the interpreter lock while it parses: a part takes some milliseconds
-    content, begin, rows = content.partition(b',\n  "points": [\n')
-    if not (begin and rows.endswith(b'\n  ]')):
-        return dict(json.loads(content + begin + rows + b'}'))
-    lines = rows.removesuffix(b'\n  ]').split(b',\n')
-    points = []
-    for first in range(0, len(lines), PART):
-        points += json.loads(b'[' + b','.join(lines[first:first + PART]) + b']')
-    return {**json.loads(content + b'}'), 'points': points}
+def _signed(blocks: Iterable[str]) -> Iterator[bytes]:
+    """Yield the blocks, and the checksum after them."""
+    digest = hashlib.sha256()
+    for block in blocks:
+        data = block.encode()
+        digest.update(data)
+        yield data
+    yield _end(digest.hexdigest())
+
+
+def _end(sha256: str) -> bytes:
+    """Return the end of a file with this checksum."""
+    return f',\n  "sha256": "{sha256}"\n}}\n'.encode()
+
+
+def _checked(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines before the checksum; raise ValueError after them if it does not fit."""
+    digest, held = hashlib.sha256(), deque[bytes]()
+    for line in iter(lambda: file.readline(MAX_LINE), b''):
+        held.append(line)
+        if len(held) > 3:
+            digest.update(held[0])
+            yield held.popleft()
+    last = held[0].removesuffix(b',\n')
+    digest.update(last)
+    yield last
+    if b''.join(held) != last + _end(digest.hexdigest()):
+        raise ValueError('the checksum does not fit')
+
+
+def _parsed(lines: Iterator[bytes]) -> dict[str, Any]:
+    """Return the session in these lines, which end before the last brace."""
+    head = itertools.takewhile(lambda line: not line.startswith(_POINTS), lines)
+    session: dict[str, Any] = json.loads(b''.join(head).removesuffix(b',\n') + b'}')
+    rows = itertools.takewhile(lambda line: line != b'  ]', lines)
+    session['points'] = points_of(rows, session.pop('columns'))
+    if any(True for _ in lines):    # also checks the checksum
+        raise ValueError('the points are not the last')
+    return session
 
 
 class SessionFile:

@@ -2,11 +2,12 @@
 """
 Journal of a session: every event is written as it happens, so that a killed node can resume.
 
-The first line is ``{"schema": "gsdf-journal/2", ...}``.  Each further line is an event, its value
+The first line is ``{"schema": "gsdf-journal/3", ...}``.  Each further line is an event, its value
 and a checksum: ``["point", [1, 0, 1700000000.0125, 0.1, 0.2, -1.3], "9b2f01aa"]``;
 `gsdf_registration.session.events` lists the events.  A checksum is the CRC-32 of the line up to it,
 continued from the line before, so that a line that is changed, missing or moved is found.  What
-follows such a line is not read: it may depend on it, as the points of a stroke on its undo.
+follows such a line is not read: it may depend on it, as the points of a stroke on its undo.  Rows
+are packed, see `packed_rows`; a whole session is followed by events with its points, in parts.
 
 Every event is passed to the operating system at once, so the death of the process loses none.  To
 survive a power loss, use ``~/save``.
@@ -21,12 +22,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import itertools
 import json
 import os
 import tempfile
 import threading
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -34,16 +36,19 @@ from gsdf_registration import __version__
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from msg_adapters.files import irregular, open_file
+from msg_adapters.packed_rows import packed, unpacked
 from msg_adapters.session_file import now
 
-SCHEMA = 'gsdf-journal/2'
+SCHEMA = 'gsdf-journal/3'
 PERSISTENT = frozenset({'model', 'collecting'})     # repeated at the start of the next file
 WORTH_KEEPING = frozenset({'point', 'landmark', 'verification', 'registration'})
 MAX_SIZE = 1_000_000_000    # bytes of a journal that is read
 MAX_HEAD = 1000
 RENEW_SIZE = 100_000_000    # bytes; a journal is begun again when so much has been appended
+PART = 10_000       # points in one line
 _START = zlib.crc32(SCHEMA.encode())    # the checksum before the first event
 _TAIL = len(b', "01234567"]')
+_encode = json.JSONEncoder(allow_nan=False, default=packed).encode
 
 
 def journal_path(session_path: str | os.PathLike[str]) -> Path:
@@ -75,7 +80,7 @@ class SessionJournal:
         self._own = _identity(path) if continues else None     # of the file that contains all this
         self._renewing = continues
         self._checksum = self._appended = 0
-        self._base = ''     # the session at the start of the file
+        self._base: dict[str, Any] = {}     # the session at the start of the file
         self._persistent: dict[str, str] = {}
         self._pending: list[str] = []   # not written yet: nothing worth keeping, or only counts
         self._rejected: dict[str, int] = {}
@@ -128,7 +133,7 @@ class SessionJournal:
         if event == 'session':
             self._begin(value)
         elif event == 'clear':
-            self._end(_body('clear', value))
+            self._end([_body('clear', value)])
         elif event in PERSISTENT:
             self._persistent[event] = _body(event, value)
             if self._file is not None:
@@ -139,33 +144,33 @@ class SessionJournal:
             for cause, count in value.items():
                 self._rejected[cause] = self._rejected.get(cause, 0) + count
         else:
-            self._pending.append(_point_body(value) if event == 'point' else _body(event, value))
+            self._pending.append(_body(event, value))
             if self._file is not None or event in WORTH_KEEPING:
                 self._write_pending()
 
     def _begin(self, session: dict[str, Any]) -> None:
         """Start a file with a whole session."""
-        body = _body('session', session)
         persistent = {'model': _body('model', session['model_sha256']),
                       'collecting': _body('collecting', session['collecting'])}
         if self._renewing:
             self._close_file()
-        elif self._end(body):
+        elif self._end(_session_bodies(session)):
             self._persistent = persistent
             return
         self._pending, self._rejected, self.problem = [], {}, ''
-        self._base, self._persistent = body, persistent
-        if any(session[key] for key in ('points', 'landmarks', 'verifications', 'pose_result')):
+        self._base, self._persistent = session, persistent
+        if len(session['points']) or any(session[key] for key in (
+                'landmarks', 'verifications', 'pose_result')):
             self._create()
         elif self._outdated:
             self._set_aside()
 
-    def _end(self, body: str) -> bool:
+    def _end(self, bodies: Iterable[str]) -> bool:
         """
         Set the present file aside; the next one starts with the next event worth keeping.
 
-        If the file cannot be renamed, as in a folder that has become read-only, write ``body``,
-        the event that ends the session, go on in the same file, and return True.
+        If the file cannot be renamed, as in a folder that has become read-only, write ``bodies``,
+        the events that end the session, go on in the same file, and return True.
         """
         self._outdated |= self._own is not None and self._own == _identity(self.path)
         try:
@@ -175,11 +180,11 @@ class SessionJournal:
             if self._file is None:
                 raise
             self._write_pending()
-            self._append([body])
+            self._append(bodies)
             self._outdated = False
             return True
         finally:
-            self._base, self._rejected, self._renewing = '', {}, False
+            self._base, self._rejected, self._renewing = {}, {}, False
         self._close_file()
         self._pending, self._own, self.problem = [], None, ''
         return False
@@ -203,15 +208,16 @@ class SessionJournal:
     def _create(self) -> None:
         """Create the file, with what is pending, in one step."""
         check_not_in_use(self.path)
-        bodies = filter(None, [self._base, *self._persistent.values(), *self._pending])
-        data, checksum = _chained(bodies, _START)
+        bodies = itertools.chain(_session_bodies(self._base), self._persistent.values(),
+                                 self._pending)
         handle, temporary = tempfile.mkstemp(prefix=f'.{self.path.name[:64]}.',
                                              dir=self.path.parent)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             with contextlib.suppress(OSError):      # not every file system has permissions
                 os.fchmod(handle, 0o644)    # mkstemp lets only the owner read
-            _write_all(handle, _head().encode() + data)
+            _write_all(handle, _head().encode())
+            checksum = _write_chained(handle, bodies, _START)[0]
             if self._own is None or self._own != _identity(self.path):
                 set_aside(self.path)
             os.replace(temporary, self.path)
@@ -222,23 +228,21 @@ class SessionJournal:
             raise
         self._file, self._own = handle, _identity(self.path)
         self._renewing = self._outdated = False
-        self._checksum, self._appended, self._base = checksum, 0, ''
+        self._checksum, self._appended, self._base = checksum, 0, {}
         self._pending, self._reported = [], ''
 
     def _append(self, bodies: Iterable[str]) -> None:
         assert self._file is not None
-        data, checksum = _chained(bodies, self._checksum)
         if _identity(self.path) != self._own:
             raise OSError(errno.ENOENT, 'it was deleted or replaced')
         size = os.fstat(self._file).st_size
         try:
-            _write_all(self._file, data)
-        except OSError:
+            self._checksum, written = _write_chained(self._file, bodies, self._checksum)
+        except (OSError, ValueError, TypeError):
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, size)
             raise
-        self._checksum = checksum
-        self._appended += len(data)
+        self._appended += written
 
     def _close_file(self) -> None:
         if self._file is not None:
@@ -311,7 +315,7 @@ def _apply_line(line: bytes, checksum: int, apply: Callable[[str, Any], None]) -
     if line[len(body):] != f', "{checksum:08x}"]\n'.encode():
         return checksum, False
     try:
-        apply(*json.loads(body + b']'))
+        apply(*json.loads(body + b']', object_hook=unpacked))
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError):
         return checksum, False
     return checksum, True
@@ -382,22 +386,27 @@ def _head() -> str:
     return json.dumps({'schema': SCHEMA, 'begun': now(), 'version': __version__}) + '\n'
 
 
-def _chained(bodies: Iterable[str], checksum: int) -> tuple[bytes, int]:
-    """Return the lines of these events, and the checksum after them."""
-    lines = []
+def _write_chained(file: int, bodies: Iterable[str], checksum: int) -> tuple[int, int]:
+    """Write the lines of these events; return the checksum after them, and their size in bytes."""
+    written = 0
     for body in bodies:
         data = body.encode()
         checksum = zlib.crc32(data, checksum)
-        lines.append(data + b', "%08x"]\n' % checksum)
-    return b''.join(lines), checksum
+        line = data + b', "%08x"]\n' % checksum
+        _write_all(file, line)
+        written += len(line)
+    return checksum, written
+
+
+def _session_bodies(session: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of a whole session: first without its points, then these in parts."""
+    if session:
+        points = session['points']
+        yield _body('session', session | {'points': points[:0]})
+        for first in range(0, len(points), PART):
+            yield _body('points', points[first:first + PART])
 
 
 def _body(event: str, value: Any) -> str:
     """Return the line of an event up to its checksum."""
-    return json.dumps([event, value], allow_nan=False)[:-1]
-
-
-def _point_body(value: Any) -> str:
-    """Return the same text as `_body`, in a fraction of the time."""
-    stroke, source, stamp, x, y, z = value
-    return f'["point", [{stroke}, {source}, {stamp!r}, {x!r}, {y!r}, {z!r}]'
+    return _encode([event, value])[:-1]

@@ -3,7 +3,7 @@
 The events of a session, and the session record that results from them.
 
 A listener (`Session.listen`) receives every change of the session, in order, as an event and its
-value.  Values are plain, ready for JSON:
+value.  Values are plain, or contain rows: structured arrays that are not changed afterwards.
 
 ============  ======================================================================================
 event         value
@@ -11,28 +11,44 @@ event         value
 model         SHA-256 of the bone, or None; the first event, unless that is a whole session
 clear         everything except the model is dropped; the sources follow.  Why, if the operator did
               not ask for it; else None
-session       a whole session that replaces the state, as `SessionRecord.to_dict` with packed points
+session       a whole session that replaces the state, as `SessionRecord.to_dict`
+points        further rows of its points; a journal writes a session in parts
 collecting    whether points are collected
 frame         name of the frame of the points
 source        topic of a new source; the first has number 0
-point         [stroke, source, stamp, x, y, z] of an added point; s and m
+point         [stroke, source, stamp, x, y, z] of an added point, s and m, followed by the pose of
+              the tool, if there is one: x, y, z, qx, qy, qz, qw
 rejected      {cause: number} of rejected samples
 undo          number of the stroke dropped, the last one or any other
 withdrawn     [source, stamp]: the points of this source from this stamp on are dropped
 landmark      as in the session record
 verification  as in the session record
-registration  {result, pose_frame_id, verifications: measured again, fit: [residual, weight] of each
-              point, or None}; the last three are None after a refusal
+registration  {result, pose_frame_id, verifications: measured again, fit: rows of residual and
+              weight}; the last three are None after a refusal
 no_pose       why the accepted registration is withdrawn; the points stay
 ============  ======================================================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from gsdf_registration.session.record import FIT, SOURCE, STAMP, STROKE, empty_record, unpacked
+import numpy as np
+
+from gsdf_registration.session.record import (
+    FIT,
+    NAMES,
+    OPTIONAL,
+    POINT_COLUMNS,
+    ROW,
+    column,
+    empty_record,
+)
+
+CAPACITY = 1024     # points, at first
+# numbers of a point in an event: with the pose of the tool, or without
+SIZES = (len(POINT_COLUMNS), len(NAMES) - len(OPTIONAL))
 
 Listener = Callable[[str, Any], None]
 
@@ -41,7 +57,18 @@ class Replay:
     """Applies events to a session record, see `SessionRecord.to_dict`."""
 
     def __init__(self) -> None:
-        self.session: dict[str, Any] = empty_record(None)
+        self._session: dict[str, Any] = empty_record(None)
+        self._rows = np.empty(CAPACITY, ROW)    # of the points, with room for more
+        self._size = 0
+
+    @property
+    def session(self) -> dict[str, Any]:
+        """The record that results from the events so far."""
+        return self._session | {'points': self._points}
+
+    @property
+    def _points(self) -> np.ndarray:
+        return self._rows[:self._size]
 
     def apply(self, event: str, value: Any) -> None:
         """
@@ -53,10 +80,9 @@ class Replay:
             If the event is unknown or its value is not valid; the record is unusable afterwards.
 
         """
-        session, points = self.session, self.session['points']
+        session, points = self._session, self._points
         if event == 'point':
-            stroke, source, stamp, x, y, z = value
-            points.append([stroke, source, stamp, x, y, z, None, None])
+            self._append_point(value)
         elif event == 'rejected':
             for cause, count in value.items():
                 session['rejected'][cause] = session['rejected'].get(cause, 0) + count
@@ -67,10 +93,10 @@ class Replay:
         elif event == 'source':
             session['sources'].append(value)
         elif event == 'undo':
-            points[:] = [row for row in points if row[STROKE] != value]
+            self._keep(points['stroke'] != value)
         elif event == 'withdrawn':
             source, since = value
-            points[:] = [row for row in points if row[SOURCE] != source or row[STAMP] < since]
+            self._keep((points['source'] != source) | (points['stamp'] < since))
         elif event in ('landmark', 'verification'):
             session[f'{event}s'].append(value)
         elif event == 'registration':
@@ -80,34 +106,60 @@ class Replay:
         elif event == 'model':
             self._set_model(value)
         elif event == 'clear':
-            self.session = empty_record(session['model_sha256']) | {
+            self._session = empty_record(session['model_sha256']) | {
                 'collecting': session['collecting']}
+            self._size = 0
         elif event == 'session':
-            self.session = {**empty_record(None), **value, 'points': unpacked(value['points'])}
+            self._session, self._size = {**empty_record(None), **value}, 0
+            self._append(self._session['points'])
+        elif event == 'points':
+            self._append(value)
         else:
             raise ValueError(f'unknown event "{event}"')
 
+    def _append_point(self, value: Sequence[float]) -> None:
+        if len(value) not in SIZES:
+            raise ValueError(f'a point of {len(value)} numbers')
+        if self._size == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        self._rows[self._size] = (*value, *(len(NAMES) - len(value)) * (np.nan,))
+        self._size += 1
+
+    def _append(self, rows: np.ndarray) -> None:
+        """Append rows (n,) with other columns, see `column`."""
+        added = np.empty(len(rows), ROW)
+        for name in NAMES:
+            added[name] = column(rows, name)
+        self._rows = np.concatenate([self._points, added, np.empty(CAPACITY, ROW)])
+        self._size += len(rows)
+
+    def _keep(self, mask: np.ndarray) -> None:
+        kept = self._points[mask]
+        self._rows[:len(kept)], self._size = kept, len(kept)
+
     def _register(self, value: dict[str, Any]) -> None:
-        session = self.session
+        session, fit = self._session, value['fit']
         session['result'] = value['result']
-        if value['fit'] is None:
+        if fit is None:
             return
         session['pose_result'] = value['result']
         session['frames']['pose'] = value['pose_frame_id']
         session['verifications'] = value['verifications']
-        for row, fit in zip(session['points'], value['fit'], strict=True):
-            row[FIT:] = fit or [None, None]
+        if len(fit) != self._size:
+            raise ValueError(f'a registration of {len(fit)} points, but there are {self._size}')
+        for name in FIT:
+            self._points[name] = fit[name]
 
     def _withdraw_pose(self) -> None:
-        session = self.session
+        session = self._session
         if session['result'] == session['pose_result']:     # else the last attempt was refused
             session['result'] = None
         session['pose_result'], session['frames']['pose'] = None, ''
-        for row in session['points']:
-            row[FIT:] = [None, None]
+        for name in FIT:
+            self._points[name] = np.nan
 
     def _set_model(self, model_sha256: str | None) -> None:
-        session = self.session
+        session = self._session
         if session['model_sha256'] != model_sha256:
             self._withdraw_pose()
             session |= {'result': None, 'verifications': []}

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A session as plain lists and numbers, bound to its bone: the content of a session file.
+A session as plain values, bound to its bone: the content of a session file.
 
-SI units, frames by name.  ``points`` has a row for each point: its stroke (from 1), the index of
-its source in ``sources``, its stamp, its position in frame ``frames.points``, and, if the accepted
-registration used it, its residual (null: left out as an outlier) and its weight.
+SI units, frames by name.  ``points`` is a structured array with a row for each point: its stroke
+(from 1), the index of its source in ``sources``, its stamp, its position in frame
+``frames.points``, and, if the accepted registration used it, its residual (NaN: left out as an
+outlier) and its weight.
 """
 
 from __future__ import annotations
 
-import base64
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,9 +35,17 @@ from gsdf_registration.session.result_record import (
 )
 from gsdf_registration.session.verification import Verification
 
-COLUMNS = ('stroke', 'source', 'stamp', 'x', 'y', 'z', 'residual', 'weight')
-STROKE, SOURCE, STAMP, FIT = 0, 1, 2, 6
-PART = 1000     # rows converted at a time: Python holds its lock meanwhile
+# columns of each field of `Points`, in the order of the event 'point', and those of the fit
+COLUMNS = {'strokes': ('stroke',), 'sources': ('source',), 'stamps': ('stamp',),
+           'positions': ('x', 'y', 'z'), 'tools': tuple(f'tool_{name}' for name in (
+               'x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'))}
+FIT = ('residual', 'weight')
+POINT_COLUMNS = tuple(name for names in COLUMNS.values() for name in names)
+OPTIONAL = (*COLUMNS['tools'], *FIT)    # left out if they are unknown for every point
+WHOLE = ('stroke', 'source')            # int32; other columns are float64
+NAMES = (*POINT_COLUMNS, *FIT)
+ROW = np.dtype([(name, '<i4' if name in WHOLE else '<f8') for name in NAMES])
+FIT_ROW = np.dtype([(name, '<f8') for name in FIT])
 
 
 @dataclass(frozen=True)
@@ -58,13 +66,8 @@ class SessionRecord:
     pose_result: RegistrationResult | None
     pose_frame_id: str
 
-    def to_dict(self, config: Config, packed: bool = False) -> dict[str, Any]:
-        """
-        Return the record with settings and versions, ready for JSON.
-
-        ``packed``: with the points as text, see `unpacked`; takes a tenth of the time.
-        """
-        points = _packed if packed else _rows
+    def to_dict(self, config: Config) -> dict[str, Any]:
+        """Return the record with settings and versions: plain values, and the rows of points."""
         return empty_record(self.model_sha256) | {
             'versions': {'gsdf_registration': __version__, 'python': platform.python_version(),
                          'numpy': np.__version__, 'numba': numba.__version__},
@@ -74,7 +77,7 @@ class SessionRecord:
             'rejected': self.rejected, 'landmarks': plain(self.landmarks),
             'verifications': plain(self.verifications), 'result': result_to_dict(self.result),
             'pose_result': result_to_dict(self.pose_result), 'parameters': config.flat(),
-            'points': points(self.points, self.residuals, self.weights)}
+            'points': _rows(self.points, self.residuals, self.weights)}
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], model_sha256: str) -> SessionRecord:
@@ -120,66 +123,59 @@ def empty_record(model_sha256: str | None) -> dict[str, Any]:
     return {'versions': {}, 'model_sha256': model_sha256,
             'frames': {'points': None, 'pose': '', 'bone': ''}, 'collecting': False,
             'sources': [], 'rejected': {}, 'landmarks': [], 'verifications': [], 'result': None,
-            'pose_result': None, 'parameters': {}, 'columns': list(COLUMNS), 'points': []}
+            'pose_result': None, 'parameters': {}, 'points': np.empty(0, ROW)}
 
 
-def fit_of(residuals: Array, weights: Array) -> list[list[float | None] | None]:
-    """Return [residual, weight] of each point (n,); None if it was not registered."""
-    return [None if weight != weight else [None if residual != residual else residual, weight]
-            for residual, weight in zip(residuals.round(7).tolist(), weights.round(4).tolist())]
+def column(rows: np.ndarray, name: str) -> np.ndarray:
+    """Return a column of rows (n,); NaN for an `OPTIONAL` one that is left out."""
+    known = name not in OPTIONAL or name in (rows.dtype.names or ())
+    return rows[name] if known else np.full(len(rows), np.nan)
 
 
-def unpacked(points: str | list[list[Any]]) -> list[list[Any]]:
-    """
-    Return ``points`` of a record as rows.
-
-    Packed points are the rows as little-endian float64 in base64; NaN means unknown.
-    """
-    if not isinstance(points, str):
-        return points
-    return [[int(stroke), int(source), stamp, x, y, z,
-             None if residual != residual else residual, None if weight != weight else weight]
-            for stroke, source, stamp, x, y, z, residual, weight in _table(points).tolist()]
-
-
-def _table(packed: str) -> Array:
-    data = np.frombuffer(base64.b64decode(packed, validate=True), '<f8')
-    return data.astype(np.float64).reshape(-1, len(COLUMNS))
-
-
-def _packed(points: Points, residuals: Array, weights: Array) -> str:
-    table = np.column_stack([points.strokes, points.sources, points.stamps, points.positions,
-                             residuals.round(7), weights.round(4)])
-    return base64.b64encode(table.astype('<f8').tobytes()).decode()
-
-
-def _rows(points: Points, residuals: Array, weights: Array) -> list[list[Any]]:
-    rows: list[list[Any]] = []
-    for first in range(0, len(residuals), PART):
-        part = slice(first, first + PART)
-        rows += ([stroke, source, stamp, *position, *(known or (None, None))]
-                 for stroke, source, stamp, position, known in zip(
-                     points.strokes[part].tolist(), points.sources[part].tolist(),
-                     points.stamps[part].tolist(), points.positions[part].tolist(),
-                     fit_of(residuals[part], weights[part])))
+def fit_of(residuals: Array, weights: Array) -> np.ndarray:
+    """Return the rows of `FIT` for n points; NaN: not registered."""
+    rows = np.empty(len(residuals), FIT_ROW)
+    rows['residual'], rows['weight'] = residuals.round(7), weights.round(4)
     return rows
 
 
-def _columns(rows: list[list[Any]], sources: int) -> tuple[Points, Array, Array]:
-    """Return points, residuals and weights; None becomes NaN."""
-    table = np.concatenate([np.empty((0, len(COLUMNS))), *(
-        np.array(rows[first:first + PART], np.float64) for first in range(0, len(rows), PART))])
-    numbers, residuals, weights = table[:, [STROKE, SOURCE]], table[:, FIT], table[:, FIT + 1]
-    if not (np.abs(table[:, :FIT]) < [2.0**31, 2.0**31, np.inf, *3 * [MAX_COORDINATE]]).all():
-        raise ValueError(f'the points are not rows of {", ".join(COLUMNS)}')
-    if (numbers % 1.0 != 0.0).any() or not ((numbers >= [1.0, 0.0])
-                                            & (numbers < [2.0**31, sources])).all():
+def _rows(points: Points, residuals: Array, weights: Array) -> np.ndarray:
+    """Return the rows of n points, without the `OPTIONAL` columns of which nothing is known."""
+    fit = fit_of(residuals, weights)
+    columns = {name: fit[name] for name in FIT}
+    for field, names in COLUMNS.items():
+        columns |= zip(names, np.atleast_2d(getattr(points, field).T))
+    known = [name for name in NAMES
+             if name not in OPTIONAL or not np.isnan(columns[name]).all()]
+    rows = np.empty(len(residuals), [(name, ROW[name]) for name in known])
+    for name in known:
+        rows[name] = columns[name]
+    return rows
+
+
+def _columns(rows: np.ndarray, sources: int) -> tuple[Points, Array, Array]:
+    """Return points, residuals and weights of rows (n,), of which every value is checked."""
+    for name in WHOLE:
+        if not ((rows[name] % 1 == 0) & (np.abs(rows[name]) < 2**31)).all():
+            raise ValueError(f'a point has no valid {name}')
+    points = Points(**{field: _values(rows, names) for field, names in COLUMNS.items()})
+    residuals, weights = (np.array(column(rows, name), np.float64) for name in FIT)
+    if not (np.isfinite(points.stamps).all()
+            and (np.abs(points.positions) < MAX_COORDINATE).all()):
+        raise ValueError('a point has no valid stamp or position')
+    if not ((points.strokes >= 1) & (points.sources >= 0) & (points.sources < sources)).all():
         raise ValueError('a point has no valid stroke or source')
     if np.isinf(residuals).any() or (weights < 0.0).any() or (weights > 1.0).any():
         raise ValueError('a point has no valid residual or weight')
-    return (Points(table[:, 3:FIT].copy(), table[:, STAMP].copy(),
-                   table[:, STROKE].astype(np.int32), table[:, SOURCE].astype(np.int32)),
-            residuals.copy(), weights.copy())
+    return points, residuals, weights
+
+
+def _values(rows: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """Return the columns of these names as an array (n,), or (n, k) for k > 1 names."""
+    values = np.empty((len(rows), len(names)), ROW[names[0]])
+    for place, name in enumerate(names):
+        values[:, place] = column(rows, name)
+    return values if len(names) > 1 else values[:, 0]
 
 
 def _verification(item: Mapping[str, Any]) -> Verification:

@@ -12,12 +12,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsdf_registration.common.result import InputError
-from msg_adapters import files, session_file
+from msg_adapters import files, point_lines, session_file
 from msg_adapters.session_file import (
     SessionFile,
     identity,
@@ -32,33 +33,53 @@ PLAIN = st.recursive(st.none() | st.booleans() | st.integers(-2**53, 2**53)
                      lambda inner: st.lists(inner, max_size=5) | st.dictionaries(
                          st.text(max_size=9), inner, max_size=5),
                      max_leaves=10)
-ROWS = st.lists(st.tuples(st.integers(1, 9), st.floats(-1.0, 1.0), st.none()).map(list),
-                max_size=5)
+ROW = np.dtype([('stroke', '<i4'), ('source', '<i4'), ('stamp', '<f8'), ('x', '<f8'), ('y', '<f8'),
+                ('z', '<f8'), ('residual', '<f8'), ('weight', '<f8')])
+ROWS = st.lists(st.tuples(*2 * [st.integers(0, 9)], *6 * [st.floats(-1e9, 1e9) | st.just(np.nan)]),
+                max_size=5).map(lambda rows: np.array(rows, ROW))
 RECORD = {'frames': {'points': 'tracker'}, 'landmarks': [], 'rejected': {},
           'landmark': [{'name': 'x', 'model': [0.1, 0.2, 0.3]}],
-          'points': [[1, 0, 12.5, 0.1, 0.2, 0.3, None, None],
-                     [1, 0, 12.6, 0.1, 0.2, 0.3, 1e-4, 0.98]]}
+          'points': np.array([(1, 0, 12.5, 0.1, 0.2, 0.3, np.nan, np.nan),
+                              (1, 0, 12.6, 0.1, 0.2, 0.3, 1e-4, 0.98)], ROW)}
+
+
+def session_with(*stamps: float) -> dict[str, Any]:
+    """Return a session record with a point at each of these times."""
+    points = np.zeros(len(stamps), ROW)
+    points['stamp'] = stamps
+    return {'points': points}
+
+
+def stamps_in(path: Path) -> list[float]:
+    """Return the times of the points in a session file."""
+    found: list[float] = read_session(path)['points']['stamp'].tolist()
+    return found
 
 
 @settings(deadline=None, max_examples=40)
 @given(st.dictionaries(st.text(max_size=9), PLAIN, max_size=5), ROWS)
 def test_round_trip(tmp_path_factory: pytest.TempPathFactory, session: dict[str, Any],
-                    rows: list[Any]) -> None:
-    for key in ('schema', 'saved', 'sha256', 'points'):
+                    rows: np.ndarray) -> None:
+    for key in ('schema', 'saved', 'sha256', 'points', 'columns'):
         session.pop(key, None)
-    session['points'] = rows
     path = tmp_path_factory.mktemp('session') / 's.json'
-    write_session(path, session)
+    write_session(path, {'points': rows} | session)
     read = read_session(path)
+    points = read.pop('points')
+    for name in rows.dtype.names:
+        np.testing.assert_array_equal(points[name], rows[name])
     assert datetime.fromisoformat(read.pop('saved')).tzinfo is not None
     assert read == {'schema': 'gsdf-session/3', **session}
-    assert json.loads(path.read_text()).keys() - read.keys() == {'saved', 'sha256'}
+    assert json.loads(path.read_text()).keys() - read.keys() == {
+        'saved', 'sha256', 'columns', 'points'}
 
 
-def test_reads_many_points_in_parts(tmp_path: Path) -> None:
-    rows = [[i, 0.5 * i] for i in range(2 * session_file.PART + 3)]
-    write_session(tmp_path / 's.json', {'points': rows})
-    assert read_session(tmp_path / 's.json')['points'] == rows
+@pytest.mark.parametrize('count', [0, 1, point_lines.PART, 2 * point_lines.PART + 3])
+def test_writes_and_reads_points_in_parts(tmp_path: Path, count: int) -> None:
+    stamps = [0.5 * i for i in range(count)]
+    write_session(tmp_path / 's.json', session_with(*stamps))
+    assert stamps_in(tmp_path / 's.json') == stamps
+    assert [row[2] for row in json.loads((tmp_path / 's.json').read_text())['points']] == stamps
 
 
 def test_writes_one_point_per_line(tmp_path: Path) -> None:
@@ -77,6 +98,7 @@ def test_writes_one_point_per_line(tmp_path: Path) -> None:
         '      "model": [0.1, 0.2, 0.3]',
         '    }',
         '  ],',
+        '  "columns": ["stroke", "source", "stamp", "x", "y", "z", "residual", "weight"],',
         '  "points": [',
         '    [1, 0, 12.5, 0.1, 0.2, 0.3, null, null],',
         '    [1, 0, 12.6, 0.1, 0.2, 0.3, 0.0001, 0.98]',
@@ -159,10 +181,12 @@ def test_reads_no_device_no_pipe_and_no_huge_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize('bad', [float('nan'), float('inf'), object()])
 def test_invalid_values_leave_the_old_file(tmp_path: Path, bad: object) -> None:
     path = tmp_path / 's.json'
-    write_session(path, {'points': [1]})
+    write_session(path, session_with(1.0))
     with pytest.raises(InputError, match='cannot be written'):
-        write_session(path, {'points': [bad]})
-    assert read_session(path)['points'] == [1]
+        write_session(path, session_with(2.0) | {'landmarks': [bad]})
+    with pytest.raises(InputError, match='cannot be written: column stamp contains an infinite'):
+        write_session(path, session_with(2.0, np.inf))
+    assert stamps_in(path) == [1.0]
     assert os.listdir(tmp_path) == ['s.json']
 
 
@@ -173,15 +197,15 @@ STEPS = ['tempfile.mkstemp', 'os.fdopen', 'os.fsync', 'os.chmod', 'os.replace']
 def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path, step: str,
                                                     monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / 's.json'
-    write_session(path, {'points': [1]})
+    write_session(path, session_with(1.0))
 
     def full(*_: Any, **__: Any) -> None:
         raise OSError(28, 'No space left on device')
     with monkeypatch.context() as patch:
         patch.setattr(files, step.split('.')[0], Faulty(step, full))
         with pytest.raises(InputError, match='No space left'):
-            write_session(path, {'points': [2]}, identity(path))
-    assert read_session(path)['points'] == [1]
+            write_session(path, session_with(2.0), identity(path))
+    assert stamps_in(path) == [1]
     assert os.listdir(tmp_path) == ['s.json']
 
 
@@ -190,7 +214,7 @@ def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path, step: str,
 def test_a_crash_leaves_the_old_or_the_new_file(tmp_path: Path, step: str, when: str,
                                                 monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / 's.json'
-    write_session(path, {'points': [1]})
+    write_session(path, session_with(1.0))
     real = operator.attrgetter(step)(files)
 
     def killed(*given: Any, **more: Any) -> None:
@@ -200,11 +224,11 @@ def test_a_crash_leaves_the_old_or_the_new_file(tmp_path: Path, step: str, when:
     monkeypatch.setattr(files, step.split('.')[0], Faulty(step, killed))
     child = os.fork()
     if child == 0:
-        write_session(path, {'points': [2]})
+        write_session(path, session_with(2.0))
         os._exit(0)     # not reached
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     replaced = (step, when) == ('os.replace', 'after')
-    assert read_session(path)['points'] == [2 if replaced else 1]
+    assert stamps_in(path) == [2 if replaced else 1]
 
 
 class Faulty:
@@ -220,7 +244,7 @@ class Faulty:
 
 def test_reports_a_folder_that_does_not_exist(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='cannot be written'):
-        write_session(tmp_path / 'none' / 's.json', {})
+        write_session(tmp_path / 'none' / 's.json', RECORD)
 
 
 @pytest.mark.parametrize('content', [
@@ -235,7 +259,7 @@ def test_overwrites_nothing_that_is_not_a_session(tmp_path: Path, content: bytes
 
 def test_overwrites_no_link_pipe_or_folder(tmp_path: Path) -> None:
     target = tmp_path / 'target.json'
-    write_session(target, {'points': [1]})
+    write_session(target, session_with(1.0))
     (tmp_path / 'link.json').symlink_to(target)
     (tmp_path / 'broken.json').symlink_to(tmp_path / 'none')
     os.mkfifo(tmp_path / 'fifo.json')
@@ -244,21 +268,21 @@ def test_overwrites_no_link_pipe_or_folder(tmp_path: Path) -> None:
                        'folder': 'a directory'}.items():
         with pytest.raises(InputError, match=f'{name}.json is {what}, so it is not overwritten'):
             write_session(tmp_path / f'{name}.json', RECORD)
-    assert read_session(target)['points'] == [1] and (tmp_path / 'link.json').is_symlink()
+    assert stamps_in(target) == [1] and (tmp_path / 'link.json').is_symlink()
     assert len(os.listdir(tmp_path)) == 5
 
 
 def test_keeps_another_session_under_a_name_with_its_date(tmp_path: Path) -> None:
     path, kept = tmp_path / 's.json', []
     for number in range(4):
-        found = write_session(path, {'points': [number]})
+        found = write_session(path, session_with(number))
         os.utime(path, (1.7e9, 1.7e9))
         kept.append(found)
     names = [None if each is None else each.name for each in kept]
     assert names == [None, 's.2023-11-14T22-13-20Z.json', 's.2023-11-14T22-13-20Z-2.json',
                      's.2023-11-14T22-13-20Z-3.json']
-    assert [read_session(each)['points'] for each in kept[1:] if each] == [[0], [1], [2]]
-    assert read_session(path)['points'] == [3]
+    assert [stamps_in(each) for each in kept[1:] if each] == [[0.0], [1.0], [2.0]]
+    assert stamps_in(path) == [3.0]
 
 
 def test_keeps_another_session_without_hard_links(tmp_path: Path,
@@ -268,23 +292,23 @@ def test_keeps_another_session_without_hard_links(tmp_path: Path,
     monkeypatch.setattr(os, 'link', no_link)
     path, kept = tmp_path / 's.json', set()
     for number in range(3):
-        kept.add(write_session(path, {'points': [number]}))
+        kept.add(write_session(path, session_with(number)))
         os.utime(path, (1.7e9, 1.7e9))
-    assert len(kept) == 3 and read_session(path)['points'] == [2]
-    assert sorted(read_session(each)['points'] for each in kept if each) == [[0], [1]]
+    assert len(kept) == 3 and stamps_in(path) == [2.0]
+    assert sorted(stamps_in(each) for each in kept if each) == [[0.0], [1.0]]
 
 
 def test_keeps_the_permissions_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / 's.json'
-    write_session(path, {'points': [1]})
+    write_session(path, session_with(1.0))
     assert path.stat().st_mode & 0o777 == 0o644
     path.chmod(0o600)
-    write_session(path, {'points': [2]}, identity(path))
+    write_session(path, session_with(2.0), identity(path))
     assert path.stat().st_mode & 0o777 == 0o600
 
 
 def record(*points: int) -> Callable[[], dict[str, Any]]:
-    return lambda: {'points': list(points)}
+    return lambda: session_with(*points)
 
 
 def test_saves_over_what_this_session_saved_or_loaded(tmp_path: Path) -> None:
@@ -294,11 +318,11 @@ def test_saves_over_what_this_session_saved_or_loaded(tmp_path: Path) -> None:
     assert mine.save(path, record(1, 2)) == (2, None)
     restarted = SessionFile()
     points, kept = restarted.save(path, record(1, 2, 3))
-    assert points == 3 and kept is not None and read_session(kept)['points'] == [1, 2]
+    assert points == 3 and kept is not None and stamps_in(kept) == [1, 2]
     loaded: list[Any] = []
     again = SessionFile()
     again.load(path, 10**6, loaded.append)
-    assert loaded[0]['points'] == [1, 2, 3]
+    assert loaded[0]['points']['stamp'].tolist() == [1.0, 2.0, 3.0]
     assert again.save(path, record(1)) == (1, None)
     assert mine.save(path, record(7))[1] is not None        # another node has saved meanwhile
 
@@ -314,7 +338,7 @@ def test_keeps_the_session_before_a_new_one(tmp_path: Path, event: str, value: o
     assert mine.save(path, record(1, 2, 3, 4))[1] is None
     mine(event, value)
     points, kept = mine.save(path, record(1))
-    assert points == 1 and kept is not None and read_session(kept)['points'] == [1, 2, 3, 4]
+    assert points == 1 and kept is not None and stamps_in(kept) == [1, 2, 3, 4]
 
 
 def test_a_session_that_is_cleared_while_it_is_saved_is_kept(tmp_path: Path) -> None:
@@ -322,7 +346,7 @@ def test_a_session_that_is_cleared_while_it_is_saved_is_kept(tmp_path: Path) -> 
 
     def cleared_meanwhile() -> dict[str, Any]:
         mine('clear', None)
-        return {'points': [1, 2]}
+        return session_with(1, 2)
     assert mine.save(path, cleared_meanwhile) == (2, None)
     assert mine.save(path, record(3))[1] is not None
 

@@ -11,19 +11,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.session.events import Replay
-from gsdf_registration.session.record import empty_record
+from gsdf_registration.session.record import ROW, empty_record
 from msg_adapters import session_journal
+from msg_adapters.packed_rows import packed
 from msg_adapters.session_journal import SessionJournal, journal_path, read_journal
 
 POINT = [1, 0, 1700000000.0125, 0.1, -0.2, 1e-05]
 SAVED = empty_record('abc') | {
-    'sources': ['tip'], 'points': [[1, 0, 0.5, 0.0, 0.0, 0.0, 1e-4, 1.0]] * 3}
+    'sources': ['tip'], 'points': np.ones(3, ROW)}
 
 
 @pytest.fixture
@@ -97,13 +99,13 @@ def test_events_reproduce_the_session(journal: SessionJournal, path: Path) -> No
     assert session['model_sha256'] == 'abc' and session['collecting'] is True
     assert session['sources'] == ['/probe/tip'] and session['frames']['points'] == 'tracker'
     assert session['rejected'] == {'not_finite': 3, 'too_fast': 1, 'stale': 1}
-    assert session['points'][0] == [*POINT, None, None] and len(session['points']) == 3
+    assert list(session['points'][0])[:len(POINT)] == POINT and len(session['points']) == 3
 
 
 def test_each_line_is_an_event(journal: SessionJournal, path: Path) -> None:
     journal('point', POINT)
     head, *events = [json.loads(line) for line in path.read_text().splitlines()]
-    assert head['schema'] == 'gsdf-journal/2' and {'version', 'begun'} < head.keys()
+    assert head['schema'] == 'gsdf-journal/3' and {'version', 'begun'} < head.keys()
     assert [event[:2] for event in events] == [
         ['model', 'abc'], ['collecting', True], ['point', POINT]]
     assert all(len(event) == 3 and len(event[2]) == 8 for event in events)
@@ -119,7 +121,7 @@ def test_nothing_is_lost_when_the_process_is_killed(path: Path) -> None:
     assert points(path) == 500
 
 
-def whole_journal(path: Path) -> tuple[bytes, list[Any]]:
+def whole_journal(path: Path) -> tuple[bytes, list[str]]:
     """Write a journal with every kind of event; return its content and its events."""
     journal = SessionJournal(path, pytest.fail)
     for event, value in [
@@ -135,14 +137,15 @@ def whole_journal(path: Path) -> tuple[bytes, list[Any]]:
     return path.read_bytes(), events
 
 
-def events_of(path: Path) -> tuple[list[Any], str | None]:
-    """Return the events of a journal, and what is damaged."""
-    events: list[Any] = []
-    damage = read_journal(path, lambda *event: events.append(list(event)))
+def events_of(path: Path) -> tuple[list[str], str | None]:
+    """Return the events of a journal as JSON, and what is damaged."""
+    events: list[str] = []
+    damage = read_journal(
+        path, lambda *event: events.append(json.dumps(event, default=packed)))
     return events, damage
 
 
-def check_prefix(path: Path, content: bytes, whole: list[Any], cut: bool = False) -> None:
+def check_prefix(path: Path, content: bytes, whole: list[str], cut: bool = False) -> None:
     """Check that of a damaged journal the first events are read, with a note, or none."""
     path.write_bytes(content)
     try:
@@ -378,7 +381,7 @@ def test_a_journal_that_is_deleted_or_replaced_is_noticed_at_the_next_point(
         assert 'it was deleted or replaced' in journal.problem
         journal.renew()
         journal('session', SAVED)
-        assert journal.problem == '' and len(path.read_text().splitlines()) == 4
+        assert journal.problem == '' and len(path.read_text().splitlines()) == 5
     assert len(failures) == 3
     assert points(path.with_name(f'{path.name}.1')) == 4    # a file of unknown origin is kept
 

@@ -22,6 +22,7 @@ from gsdf_registration.node import session_files
 from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.session import Session
 from msg_adapters import session_journal
+from msg_adapters.packed_rows import packed
 from msg_adapters.session_file import read_session, write_session
 
 
@@ -77,8 +78,9 @@ def content(session: Session) -> dict[str, Any]:
     """Return what a resumed session has in common with the one before."""
     record = session.to_dict()
     return {key: record[key] for key in (
-        'points', 'landmarks', 'verifications', 'sources', 'result', 'pose_result', 'collecting',
-        'model_sha256')} | {'frame': record['frames']['points'] if record['points'] else None}
+        'landmarks', 'verifications', 'sources', 'result', 'pose_result', 'collecting',
+        'model_sha256')} | {'points': packed(record['points']),
+                            'frame': record['frames']['points'] if len(record['points']) else None}
 
 
 def act(session: Session, what: str, time: float) -> float:

@@ -88,11 +88,11 @@ def many_points(tracker: Tracker, shared_session: Path) -> Path:
     tracker.drag(np.eye(4))
     assert tracker.client.ask('save').success
     session = read_session(shared_session)
-    points = session['points']
-    rows = 30_000 // len(points) * points
+    rows = np.tile(session['points'], 30_000 // len(session['points']))
     noise = np.random.default_rng(0).normal(0.0, 2e-4, (len(rows), 3))
-    session['points'] = [[*row[:3], *(row[3:6] + shift), None, None]
-                         for row, shift in zip(rows, noise)]
+    for name, shift in zip('xyz', noise.T):
+        rows[name] += shift
+    session['points'] = rows
     write_session(shared_session, session, identity(shared_session))
     return shared_session
 

@@ -21,6 +21,8 @@ from gsdf_registration.mesh.bone import make_bone
 from gsdf_registration.session import Session
 from gsdf_registration.session import session as session_module
 from gsdf_registration.session.events import Replay
+from gsdf_registration.session.record import NAMES, column
+from msg_adapters.packed_rows import packed, unpacked
 
 CONFIG = Config.from_flat({'landmarks.names': ['x', 'y', 'z'], 'landmarks.positions': [
     0.03, 0.0, 0.0, 0.0, 0.03, 0.0, 0.0, 0.0, 0.03], 'landmarks.dwell': 0.05})
@@ -39,7 +41,8 @@ class Follower:
         self.replay = Replay()
 
     def __call__(self, event: str, value: Any) -> None:
-        self.replay.apply(event, json.loads(json.dumps(value, allow_nan=False)))
+        text = json.dumps(value, allow_nan=False, default=packed)
+        self.replay.apply(event, json.loads(text, object_hook=unpacked))
 
 
 def known(session: dict[str, Any]) -> dict[str, Any]:
@@ -48,10 +51,13 @@ def known(session: dict[str, Any]) -> dict[str, Any]:
 
     It lacks settings, counts of 0, and the frame while there is nothing in it.
     """
-    content = session['points'] or session['landmarks'] or session['verifications']
+    content = len(session['points']) or session['landmarks'] or session['verifications']
     frames = session['frames']
-    return {key: value for key, value in json.loads(json.dumps(session)).items()
-            if key not in ('versions', 'parameters', 'frames', 'rejected')} | {
+    values = {key: value for key, value in session.items()
+              if key not in ('versions', 'parameters', 'frames', 'rejected', 'points')}
+    return json.loads(json.dumps(values)) | {
+                'points': {name: str(column(session['points'], name).tolist())
+                           for name in NAMES},
                 'rejected': {cause: count for cause, count in session['rejected'].items() if count},
                 'frames': (frames['points'] if content else None, frames['pose'])}
 
