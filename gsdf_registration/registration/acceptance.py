@@ -14,6 +14,7 @@ from gsdf_registration.common.result import NextTouch, Reason, Refusal
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.candidate import Candidate
+from gsdf_registration.registration.free_space import Blocked
 from gsdf_registration.registration.guidance import distinguishing_touch, next_touches
 from gsdf_registration.registration.landmarks import named_points
 from gsdf_registration.registration.wording import describe_place
@@ -22,6 +23,8 @@ from gsdf_registration.registration.zone import required_part
 # Share of the points: with so many inliers on the bone, correlated residuals come from an
 # inaccurate model or tracker, for which the covariance allows, and not from another bone
 CLEAR_INLIERS = 0.93
+# Log-likelihood of the places in the air below which the pose itself is wrong: eight places in bone
+MIN_FREE = -24.0
 TOUCH_ELSEWHERE = 'touch other sides of the bone'
 
 
@@ -50,6 +53,7 @@ def rejection_reasons(candidate: Candidate, points: Array, field: Field,
         return
     yield from _check_extent(on_bone, limits)
     yield from _check_fit(candidate, limits)
+    yield from _check_free_space(candidate.selected.blocked)
     touched = rigid.transform(candidate.solution.T_bone_tracker, on_bone)
     yield from _check_alternatives(candidate, touched, field, config)
     if not candidate.solution.converged:
@@ -93,6 +97,16 @@ def _check_fit(candidate: Candidate, limits: LimitsConfig) -> Iterator[Refusal]:
                       f'{used - inliers} of {used} points lie off the bone, and the others fit it '
                       'no better than they would fit another bone; check that the model is of '
                       'this patient, this side and in this unit')
+
+
+def _check_free_space(blocked: Blocked) -> Iterator[Refusal]:
+    """Yield a refusal if the probe was where the bone would be."""
+    if blocked.log_likelihood < MIN_FREE:
+        yield Refusal(Reason.MODEL_MISMATCH,
+                      f'the probe has been where the bone would be, at {blocked.places} of '
+                      f'{blocked.total} places and up to {format_length(blocked.depth)} deep; '
+                      'check that the model is of this patient and side, and the tip and shaft of '
+                      'the probe, or set collect.air to false if bone has been removed')
 
 
 def _check_alternatives(candidate: Candidate, touched: Array, field: Field,

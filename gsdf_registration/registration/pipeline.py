@@ -20,6 +20,7 @@ from gsdf_registration.registration.acceptance import acceptance_message, reject
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.evidence import Evidence
+from gsdf_registration.registration.free_space import NO_PLACES, places
 from gsdf_registration.registration.input_checks import check_points, initial_guess
 from gsdf_registration.registration.point_selection import (
     PointSelection,
@@ -55,7 +56,8 @@ def register(points: ArrayLike,
         metres, optional
         Three or more give an initial guess.
     air : (m, 3) float, metres, tracker frame, optional
-        Where the tip or the shaft has been while not on the bone.
+        Where the tip or the shaft has been while not on the bone, which cannot be there: it helps
+        to choose between poses that fit the points alike.
     T_tracker_bone : (4, 4) float, metres, optional
         The initial guess itself.
     cancelled : callable, optional
@@ -119,7 +121,7 @@ def _evidence(landmarks: Landmarks | tuple[ArrayLike, ArrayLike] | None,
         landmarks = NO_LANDMARKS
     elif not isinstance(landmarks, Landmarks):
         landmarks = Landmarks.of(*landmarks)
-    return Evidence(landmarks, np.zeros((0, 3)) if air is None else as_numbers(air, 'air'))
+    return Evidence(landmarks, NO_PLACES if air is None else places(air))
 
 
 def find_candidates(points: Array,
@@ -181,7 +183,8 @@ def find_candidate(points: Array,
     found = find_start_poses(points, field, config.search, starts[0] if starts else None,
                              cancelled, progress)
     searched = perf_counter()
-    solutions = solve_all(points, field, [*starts, *found], config, history, cancelled, touches)
+    solutions = solve_all(points, field, [*starts, *found], config, history, cancelled, touches,
+                          evidence)
     selected = select_pose(solutions, points, field, config.solver, evidence)
     confidence = assess_at(selected.solution, points, field, config.solver)
     timing_s = {'search': searched - started, 'solve': perf_counter() - searched}

@@ -19,6 +19,7 @@ from gsdf_registration.common.result import INLIER_WEIGHT, Cancelled
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.evidence import Evidence
+from gsdf_registration.registration.free_space import NOTHING_BLOCKED, Blocked, blocked
 from gsdf_registration.search.consensus import POSE_ERROR, consensus
 from gsdf_registration.solver import (
     NO_TOUCHES,
@@ -63,11 +64,13 @@ class SelectedPose:
     solution : Solution
     residuals : (n,) float, metres, of all points used, at the pose
     alternatives : of AlternativePose, most likely first
+    blocked : Blocked, the places in the air that are inside the bone
     """
 
     solution: Solution
     residuals: Array
     alternatives: list[AlternativePose]
+    blocked: Blocked = NOTHING_BLOCKED
 
     @property
     def runner_up_ratio(self) -> float | None:
@@ -114,7 +117,8 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
                                                 float(cost[k] / max(cost[0], 1e-12))))
     best = allow_for_model_error(best, points)
     residual = field.sample(rigid.transform(best.T_bone_tracker, points))[0]
-    return SelectedPose(best, residual, alternatives)
+    return SelectedPose(best, residual, alternatives,
+                        blocked(evidence.air, best.T_bone_tracker, field))
 
 
 def _distance_of_poses(points: Array) -> Callable[[Array, Array], float]:
@@ -160,7 +164,8 @@ def solve_all(points: Array,
               config: Config,
               history: bool = False,
               cancelled: Callable[[], bool] | None = None,
-              touches: Array = NO_TOUCHES) -> list[Solution]:
+              touches: Array = NO_TOUCHES,
+              evidence: Evidence = Evidence()) -> list[Solution]:
     """
     Return the local solution from each start, and more if the best one does not explain the points.
 
@@ -182,6 +187,8 @@ def solve_all(points: Array,
         Called before each solve; if it returns True, `Cancelled` is raised.
     touches : (t,) float
         Relative noise of the last t points, which are touches.
+    evidence : Evidence
+        What is known of the pose beside the points; its log-likelihood is part of each score.
 
     Raises
     ------
@@ -191,7 +198,9 @@ def solve_all(points: Array,
     def solve_from(start: Array, **options: Any) -> Solution:
         if cancelled is not None and cancelled():
             raise Cancelled
-        return solve(points, field, start, config.solver, history, touches=touches, **options)
+        found = solve(points, field, start, config.solver, history, touches=touches, **options)
+        return replace(
+            found, score=found.score + evidence.log_likelihood(found.T_bone_tracker, field))
 
     solutions = _Solutions()
     with ThreadPoolExecutor(config.search.threads or os.cpu_count() or 1) as pool:

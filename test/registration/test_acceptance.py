@@ -16,10 +16,12 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason, Refusal
 from gsdf_registration.registration.acceptance import (
     CLEAR_INLIERS,
+    MIN_FREE,
     acceptance_message,
     rejection_reasons,
 )
 from gsdf_registration.registration.candidate import Candidate
+from gsdf_registration.registration.free_space import Blocked
 from gsdf_registration.registration.pipeline import find_candidate
 from gsdf_registration.registration.pose_selection import AlternativePose
 
@@ -194,3 +196,14 @@ def test_the_acceptance_message_names_points_error_and_weakest_direction() -> No
 def test_an_expected_error_of_zero_is_never_reported() -> None:
     precise = replace(accepted(), predicted_tre_m={'rms': 1e-6, 'max': 2e-6})
     assert 'expected error < 0.1 mm (RMS)' in acceptance_message(precise)
+
+
+def test_a_pose_with_the_probe_inside_the_bone_is_rejected() -> None:
+    def blocked(log_likelihood: float) -> Candidate:
+        air = Blocked(9, 120, 0.0123, log_likelihood)
+        return replace(accepted(), selected=replace(accepted().selected, blocked=air))
+    assert reasons(blocked(MIN_FREE)) == []
+    [refusal] = rejected_by(blocked(MIN_FREE - 0.1))
+    assert refusal.reason is Reason.MODEL_MISMATCH
+    assert refusal.message.startswith('the probe has been where the bone would be, at 9 of 120 '
+                                      'places and up to 12.3 mm deep; check')
