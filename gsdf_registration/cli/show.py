@@ -7,9 +7,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import inputs, options
+from gsdf_registration.cli import inputs, landmark_files, options
 from gsdf_registration.common.command_line import example, spinner
-from gsdf_registration.common.formatting import format_error
 from gsdf_registration.common.result import INLIER_WEIGHT, InputError, Refusal
 
 if TYPE_CHECKING:
@@ -66,8 +65,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _accepted(found: FullAssessment) -> str:
     inliers = int((found.weights > INLIER_WEIGHT).sum())
-    return (f'Accepted: {inliers} of {len(found.weights)} points lie on the bone; expected error '
-            f'{format_error(found.predicted_tre_m["rms"])} (RMS) over the bone')
+    assert found.zone is not None
+    return (f'Accepted: {inliers} of {len(found.weights)} points lie on the bone; '
+            f'{found.zone.sentence}')
 
 
 def _read_points(args: argparse.Namespace, field: Field,

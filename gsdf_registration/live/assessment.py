@@ -11,7 +11,7 @@ import numpy as np
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.result import NextTouch, Reason, Refusal
+from gsdf_registration.common.result import NextTouch, Reason, Refusal, Zone
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
@@ -50,7 +50,7 @@ class FullAssessment:
     used : int, number of these used for the pose
     searched : bool, whether the bone was searched and not only followed
     rejection_reasons : for which `register` would reject the pose, most severe first
-    predicted_tre_m : as in `RegistrationResult`; empty without a pose
+    predicted_tre_m, zone : as in `RegistrationResult`; empty without a pose
     pose : to follow from here on; None if there is none
     T_tracker_bone, covariance : (4, 4), (6, 6), of the pose; None unless it is trusted
     residuals_m, weights : (n,) float, of the points; empty unless the pose is trusted
@@ -65,6 +65,7 @@ class FullAssessment:
     searched: bool = False
     rejection_reasons: tuple[Refusal, ...] = ()
     predicted_tre_m: dict[str, float] = item(default_factory=dict)
+    zone: Zone | None = None
     pose: WarmPose | None = None
     T_tracker_bone: Array | None = None
     covariance: Array | None = None
@@ -142,7 +143,7 @@ def assess_all_points(points: Points,
     else:
         return FullAssessment(points, selection.on_strokes, rejection_reasons=previous_reasons)
     found = FullAssessment(points, selection.on_strokes, len(used), searched, reasons,
-                           candidate.predicted_tre_m, pose)
+                           candidate.predicted_tre_m, candidate.zone, pose)
     tolerated = TOLERATED_AFTER_SEARCH if searched else TOLERATED_WHILE_FOLLOWING
     if candidate.confidence is None or any(each.reason not in tolerated for each in reasons):
         # after a search there is nothing to follow; a followed pose may recover with more points
