@@ -26,7 +26,7 @@ MOST_PLACES = 10_000        # bounds the time: 1 ms per pose
 ACCURACY = 0.001    # m, standard deviation of the depth of a place
 TOLERATED = 2.0     # standard deviations inside the bone at which half of the places are wrong
 CLEARLY_INSIDE = 0.003      # m
-WRONG = 0.05        # share of wrong readings: a place costs at most log(0.05) = -3
+WRONG = 0.1         # share of wrong readings: a place costs at most log(0.1) = -2.3
 # Log-likelihood that the places cost at most, twice the usual `limits.min_gap`. They decide between
 # poses that fit the points alike, and not against the points.
 MOST = 48.0
