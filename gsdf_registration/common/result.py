@@ -125,6 +125,26 @@ class Iteration:
 
 
 @dataclass(frozen=True)
+class LandmarkFit:
+    """
+    How a landmark with a standard deviation fits.
+
+    name : str
+    used : whether it was used; if not, it is a mistake
+    sigma_m : float, m, its standard deviation along each axis
+    residual_m : float, m, distance from its place on the bone at the pose
+    deviations : float, its distance from where it was expected without it, in standard deviations:
+        of the landmark and of the pose
+    """
+
+    name: str
+    used: bool
+    sigma_m: float
+    residual_m: float
+    deviations: float
+
+
+@dataclass(frozen=True)
 class WeakestDirection:
     """The rigid motion that the points constrain least, as a screw in the bone frame."""
 

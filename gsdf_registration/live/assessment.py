@@ -136,10 +136,10 @@ def assess_all_points(points: Points,
     if searched:
         candidate, reasons = _search(points.positions[selection.rows], field, config, guess,
                                      evidence, cancelled)
-        pose = WarmPose(used, field, candidate.solution, config)
+        pose = WarmPose(used, field, candidate.solution, config, evidence.landmarks.measured)
         pose.confidence = candidate.confidence
     elif previous is not None:
-        pose, candidate, reasons = _follow(used, field, config, previous)
+        pose, candidate, reasons = _follow(used, field, config, previous, evidence)
     else:
         return FullAssessment(points, selection.on_strokes, rejection_reasons=previous_reasons)
     found = FullAssessment(points, selection.on_strokes, len(used), searched, reasons,
@@ -167,12 +167,13 @@ def _search(points: Array, field: Field, config: Config, guess: Array | None, ev
     return candidate, reasons
 
 
-def _follow(points: Array, field: Field, config: Config,
-            previous: Solution) -> tuple[WarmPose, Candidate, tuple[Refusal, ...]]:
+def _follow(points: Array, field: Field, config: Config, previous: Solution,
+            evidence: Evidence) -> tuple[WarmPose, Candidate, tuple[Refusal, ...]]:
     """Solve from a previous solution and assess the result."""
-    pose = WarmPose(points, field, previous, config)
-    pose.confidence = assess_at(pose.solution, points, field, config.solver)
+    pose = WarmPose(points, field, previous, config, evidence.landmarks.measured)
+    if pose.confidence is None:
+        pose.confidence = assess_at(pose.solution, points, field, config.solver)
     residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points))[0]
-    candidate = assess_candidate(SelectedPose(pose.solution, residuals, []), pose.confidence,
-                                 points, field, config)
+    selected = SelectedPose(pose.solution, residuals, [], landmarks=pose.landmark_fits)
+    candidate = assess_candidate(selected, pose.confidence, points, field, config)
     return pose, candidate, tuple(rejection_reasons(candidate, points, field, config))

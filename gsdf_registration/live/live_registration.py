@@ -167,8 +167,8 @@ class LiveRegistration:
 
         def job(cancelled: Callable[[], bool]) -> FullAssessment:
             return assess_all_points(points, field, config, previous=previous, guess=guess,
-                                     evidence=evidence, search_threshold=threshold, previous_reasons=reasons,
-                                     cancelled=cancelled)
+                                     evidence=evidence, search_threshold=threshold,
+                                     previous_reasons=reasons, cancelled=cancelled)
         return job
 
     def accept(self, assessment: FullAssessment) -> LivePose | None:

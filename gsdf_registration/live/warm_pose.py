@@ -7,10 +7,13 @@ import numpy as np
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.point_filters import has_neighbours
+from gsdf_registration.common.result import LandmarkFit
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.registration.confidence import Confidence, reassess
+from gsdf_registration.registration.confidence import Confidence, assess, reassess
+from gsdf_registration.registration.landmark_evidence import fuse
 from gsdf_registration.registration.point_selection import evenly_spread
 from gsdf_registration.solver import Neighbourhood, Solution, allow_for_model_error, refine
 
@@ -34,13 +37,17 @@ class WarmPose:
     field : of the bone
     solution : of these points, or of most of them
     config : Config
+    landmarks : Landmarks
+        With standard deviations.
 
     """
 
-    def __init__(self, points: Array, field: Field, solution: Solution, config: Config) -> None:
+    def __init__(self, points: Array, field: Field, solution: Solution, config: Config,
+                 landmarks: Landmarks = NO_LANDMARKS) -> None:
         self.points, self.solution = points, solution
         self.confidence: Confidence | None = None   # set by a full assessment, then updated
-        self._field, self._config = field, config
+        self.landmark_fits: tuple[LandmarkFit, ...] = ()
+        self._field, self._config, self._landmarks = field, config, landmarks
         self._cloud = points        # with the isolated points added since
         self._restart()
 
@@ -52,6 +59,12 @@ class WarmPose:
         self._neighbourhood = Neighbourhood(self.points, self._field, self._T_at_restart)
         self._solve(reuse_correction=False)
         self.solution = allow_for_model_error(self.solution, self.points)
+        if not len(self._landmarks):
+            return
+        alone = assess(self.solution, self.points, self._neighbourhood.indices)
+        if alone is not None:
+            self.solution, self.confidence, self.landmark_fits = fuse(
+                self.solution, alone, self.points, self._field, self._landmarks)
 
     def _solve(self, reuse_correction: bool) -> None:
         self.solution = refine(self.points, self._field, self.solution, self._config.solver,

@@ -9,7 +9,7 @@ B_q = [-(q - m)^, I].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from dataclasses import field as item
 
 import numpy as np
@@ -20,6 +20,7 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
+from gsdf_registration.registration.motions import inverse, motion_between
 from gsdf_registration.solver import Solution, before, nearest_neighbours
 
 # 95 % quantile of chi-square for 1 to 3 degrees of freedom
@@ -40,6 +41,7 @@ class Confidence:
         white noise; 1 for the correct bone and an accurate tracker
     model_sd : float, m, standard deviation of the error of the model; 0 if none was found
     model_covariance : (6, 6) float, the part of ``motion_covariance`` due to this error
+    landmark_information : (6, 6) float, of the landmarks, which ``motion_covariance`` includes
     """
 
     motion_covariance: Array
@@ -48,6 +50,7 @@ class Confidence:
     residual_correlation: float
     model_sd: float = 0.0
     model_covariance: Array = item(default_factory=lambda: np.zeros((6, 6)))
+    landmark_information: Array = item(default_factory=lambda: np.zeros((6, 6)))
 
     def predicted_tre(self, targets: Array) -> Array:
         """Return the predicted TRE (n,) (RMS, m) at ``targets`` (n, 3), m, bone frame."""
@@ -189,17 +192,38 @@ def reassess(previous: Confidence, solution: Solution, points: Array) -> Confide
     noise = _noise_covariance(solution)
     if noise is None:
         return None
-    return _confidence(solution, points, noise, previous.residual_correlation, previous.model_sd,
-                       previous.model_covariance)
+    found = _confidence(solution, points, noise, previous.residual_correlation, previous.model_sd,
+                        previous.model_covariance)
+    if not previous.landmark_information.any():
+        return found
+    G = motion_between(previous.centroid, found.centroid)
+    return with_landmarks(found, G.T @ previous.landmark_information @ G)
+
+
+def noise_of(solution: Solution) -> float:
+    """Return the noise of a point along the surface normal, m."""
+    w, e = solution.weights, np.nan_to_num(solution.residuals)
+    return float(np.sqrt((w * e**2).sum() / w.sum()))
+
+
+def with_landmarks(confidence: Confidence, information: Array) -> Confidence:
+    """Return the confidence with the ``information`` (6, 6) of landmarks about its centroid."""
+    C = inverse(inverse(confidence.motion_covariance) + information)
+    return replace(confidence, motion_covariance=C, landmark_information=information)
+
+
+def about(confidence: Confidence, centroid: Array) -> Confidence:
+    """Return the confidence of points alone with motions about another ``centroid`` (3,), m."""
+    G = motion_between(centroid, confidence.centroid)
+    return replace(confidence, motion_covariance=G @ confidence.motion_covariance @ G.T,
+                   centroid=centroid, model_covariance=G @ confidence.model_covariance @ G.T)
 
 
 def _confidence(solution: Solution, points: Array, noise: Array, correlation: float,
                 model_sd: float, model_covariance: Array) -> Confidence:
     """Return the confidence with the covariances due to ``noise`` and to an error of the model."""
-    w, e = solution.weights, np.nan_to_num(solution.residuals)
     centroid = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
-    sigma = float(np.sqrt((w * e**2).sum() / w.sum()))
-    return Confidence(noise + model_covariance, centroid, sigma, correlation, model_sd,
+    return Confidence(noise + model_covariance, centroid, noise_of(solution), correlation, model_sd,
                       model_covariance)
 
 

@@ -9,7 +9,7 @@ from dataclasses import field as item
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.registration import free_space
+from gsdf_registration.registration import free_space, landmark_evidence
 
 __all__ = ['Evidence', 'Landmarks']
 
@@ -29,4 +29,5 @@ class Evidence:
 
     def log_likelihood(self, T_bone_tracker: Array, field: Field) -> float:
         """Return the log-likelihood of a pose (4, 4), up to a constant."""
-        return free_space.log_likelihood(self.air, T_bone_tracker, field)
+        return (free_space.log_likelihood(self.air, T_bone_tracker, field)
+                + landmark_evidence.log_likelihood(self.landmarks.measured, T_bone_tracker))

@@ -18,16 +18,17 @@ from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.acceptance import acceptance_message, rejection_reasons
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
-from gsdf_registration.registration.confidence import assess_at
+from gsdf_registration.registration.confidence import Confidence, assess_at
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.free_space import NO_PLACES, places
 from gsdf_registration.registration.input_checks import check_points, initial_guess
+from gsdf_registration.registration.landmark_evidence import fuse
 from gsdf_registration.registration.point_selection import (
     PointSelection,
     select_points,
     weights_of_all,
 )
-from gsdf_registration.registration.pose_selection import select_pose, solve_all
+from gsdf_registration.registration.pose_selection import SelectedPose, select_pose, solve_all
 from gsdf_registration.search.global_search import find_start_poses
 from gsdf_registration.solver import NO_TOUCHES
 
@@ -124,6 +125,17 @@ def _evidence(landmarks: Landmarks | tuple[ArrayLike, ArrayLike] | None,
     return Evidence(landmarks, NO_PLACES if air is None else places(air))
 
 
+def _with_landmarks(selected: SelectedPose, confidence: Confidence | None, points: Array,
+                    field: Field, evidence: Evidence) -> tuple[SelectedPose, Confidence | None]:
+    """Return the pose of points and landmarks together, with its confidence."""
+    landmarks = evidence.landmarks.measured
+    if confidence is None or not len(landmarks):
+        return selected, confidence
+    solution, confidence, fits = fuse(selected.solution, confidence, points, field, landmarks)
+    residuals = field.sample(rigid.transform(solution.T_bone_tracker, points))[0]
+    return replace(selected, solution=solution, residuals=residuals, landmarks=fits), confidence
+
+
 def find_candidates(points: Array,
                     field: Field,
                     config: Config,
@@ -187,5 +199,6 @@ def find_candidate(points: Array,
                           evidence)
     selected = select_pose(solutions, points, field, config.solver, evidence)
     confidence = assess_at(selected.solution, points, field, config.solver)
+    selected, confidence = _with_landmarks(selected, confidence, points, field, evidence)
     timing_s = {'search': searched - started, 'solve': perf_counter() - searched}
     return assess_candidate(selected, confidence, points, field, config, timing_s)

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config, SolverConfig
-from gsdf_registration.common.result import INLIER_WEIGHT, Cancelled
+from gsdf_registration.common.result import INLIER_WEIGHT, Cancelled, LandmarkFit
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.free_space import NOTHING_BLOCKED, Blocked, blocked
+from gsdf_registration.registration.landmark_evidence import slide
 from gsdf_registration.search.consensus import POSE_ERROR, consensus
 from gsdf_registration.solver import (
     NO_TOUCHES,
@@ -28,12 +29,16 @@ from gsdf_registration.solver import (
     before,
     nearest_neighbours,
     patch_likelihood,
+    refine,
     solve,
     touch_deviations,
 )
 
 # m: solutions that place the points less than this apart (RMS) are the same local minimum
 SAME_MINIMUM = 0.0015
+# Log-likelihood by which another pose may be less likely at the optimum of its points, and still
+# count after all landmarks of the more likely one turn out to be mistakes
+IN_REACH = 200.0
 CONSENSUS_ROUNDS = 4        # at most; a round that finds no better solution is the last
 # Poses of a round that are solved: the best one may rank low before it is solved
 CONSENSUS_POSES = 48
@@ -65,12 +70,14 @@ class SelectedPose:
     residuals : (n,) float, metres, of all points used, at the pose
     alternatives : of AlternativePose, most likely first
     blocked : Blocked, the places in the air that are inside the bone
+    landmarks : of LandmarkFit, those with a standard deviation, at the pose
     """
 
     solution: Solution
     residuals: Array
     alternatives: list[AlternativePose]
     blocked: Blocked = NOTHING_BLOCKED
+    landmarks: tuple[LandmarkFit, ...] = ()
 
     @property
     def runner_up_ratio(self) -> float | None:
@@ -87,7 +94,10 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
     """
     Return the solution of the highest rank, with the other local minima as alternatives.
 
-    The selected solution allows for an error of the model, if one is found.
+    Landmarks may favour another minimum. Each is judged by its own joint optimum with them, because
+    it may be far from its place in a direction that the points hardly constrain. The selected
+    solution is the optimum of the points alone; it allows for an error of the model, if one is
+    found.
 
     Parameters
     ----------
@@ -101,24 +111,66 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
 
     """
     best = max(solutions, key=lambda solution: solution.rank)
-    poses = [solution.T_bone_tracker for solution in (best, *solutions)]
-    residuals = [field.sample(rigid.transform(T, points))[0] for T in poses]
     neighbours = nearest_neighbours(before(best.touches, points), field, best.T_bone_tracker)
     local_sd, touch_sd = _deviations(best, neighbours, 0.01 * field.voxel_size)
-    # the same measures for all solutions: the likelihood of the local means and a robust cost
-    likelihood = [patch_likelihood(e, neighbours, local_sd, touch_sd)
-                  + evidence.log_likelihood(T, field) for T, e in zip(poses, residuals)]
-    cost = [(e**2 / (e**2 + config.cauchy_scale**2)).sum() for e in residuals]
-    minima, alternatives, apart = [poses[0]], [], _distance_of_poses(points)
-    for k in np.argsort(likelihood, kind='stable')[::-1]:
-        if all(apart(poses[k], T) > SAME_MINIMUM for T in minima):
-            minima.append(poses[k])
-            alternatives.append(AlternativePose(poses[k], likelihood[0] - likelihood[k],
-                                                float(cost[k] / max(cost[0], 1e-12))))
+    landmarks, apart = evidence.landmarks.measured, _distance_of_poses(points)
+
+    def judge(T: Array) -> _JudgedPose:
+        # the same measures for all poses: the likelihood of the local means and a robust cost
+        e, known = field.sample(rigid.transform(T, points))[0], evidence.log_likelihood(T, field)
+        return _JudgedPose(T, patch_likelihood(e, neighbours, local_sd, touch_sd) + known, known,
+                           float((e**2 / (e**2 + config.cauchy_scale**2)).sum()))
+    candidates = [best, *solutions]
+    judged = [judge(solution.T_bone_tracker) for solution in candidates]
+    minima, chosen = _distinct(judged, 0, apart), 0
+    if len(landmarks):
+        sd = np.append(np.full(len(before(best.touches, points)),
+                               local_sd * np.sqrt(neighbours.shape[1])), touch_sd)
+        for k in minima:
+            if judged[k].likelihood > judged[0].likelihood - IN_REACH:
+                joint = judge(slide(judged[k].T_bone_tracker, points, field, sd, landmarks))
+                judged[k] = max(judged[k], joint, key=lambda pose: pose.likelihood)
+        chosen = max((k for k in minima if judged[k].evidence >= judged[0].evidence),
+                     key=lambda k: judged[k].likelihood)
+        if chosen:
+            best = refine(points, field, candidates[chosen], config)
+        judged = [judged[k] for k in minima]
+        chosen = minima.index(chosen)
+        minima = _distinct(judged, chosen, apart)
+    alternatives = [
+        AlternativePose(judged[k].T_bone_tracker, judged[chosen].likelihood - judged[k].likelihood,
+                        judged[k].cost / max(judged[chosen].cost, 1e-12)) for k in minima[1:]]
     best = allow_for_model_error(best, points)
     residual = field.sample(rigid.transform(best.T_bone_tracker, points))[0]
     return SelectedPose(best, residual, alternatives,
                         blocked(evidence.air, best.T_bone_tracker, field))
+
+
+class _JudgedPose(NamedTuple):
+    """
+    A pose, judged by the same measures as others.
+
+    T_bone_tracker : (4, 4) float, metres
+    likelihood : float, log-likelihood of points and evidence
+    evidence : float, the part of the evidence
+    cost : float, Geman-McClure cost
+    """
+
+    T_bone_tracker: Array
+    likelihood: float
+    evidence: float
+    cost: float
+
+
+def _distinct(poses: Sequence[_JudgedPose], first: int,
+              apart: Callable[[Array, Array], float]) -> list[int]:
+    """Return which poses are distinct minima: the ``first``, then the most likely ones."""
+    found = [first]
+    for k in np.argsort([pose.likelihood for pose in poses], kind='stable')[::-1].tolist():
+        T = poses[k].T_bone_tracker
+        if all(apart(T, poses[other].T_bone_tracker) > SAME_MINIMUM for other in found):
+            found.append(k)
+    return found
 
 
 def _distance_of_poses(points: Array) -> Callable[[Array, Array], float]:
