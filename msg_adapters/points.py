@@ -17,14 +17,14 @@ from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
-from msg_adapters import ndi
+from msg_adapters import ndi, slicer
 from msg_adapters.files import readable_file, unit_scale
 from msg_adapters.mesh import load_surface
 from msg_adapters.recording import Recording
 from msg_adapters.table import Table, read_table
 
 MESHES = ('.stl', '.ply', '.obj', '.off')
-TEXTS = ('.csv', '.txt', '.xyz')
+TEXTS = ('.csv', '.tsv', '.txt', '.xyz')
 XYZ = ('x', 'y', 'z')
 NORMAL = ('nx', 'ny', 'nz')
 
@@ -81,7 +81,8 @@ def read_model(path: str | os.PathLike[str],
     return vertices * scale, faces, normals
 
 
-def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
+def read_points(path: str | os.PathLike[str], unit: str, tool: str | None = None,
+                axes: str = 'lps') -> Recording:
     """
     Read touched points.
 
@@ -92,6 +93,7 @@ def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
     - CSV, TXT or XYZ with columns x y z and no header
     - PLY
     - NDI tracker CSV, detected by its header
+    - point list of 3D Slicer, .mrk.json or .fcsv
 
     Parameters
     ----------
@@ -99,6 +101,10 @@ def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
         File to read.
     unit : {'mm', 'm'}
         Unit of length of the file.
+    tool : str, optional
+        Part of the port label of the tool, for an NDI tracker CSV with several tools.
+    axes : {'lps', 'ras'}
+        Axes of the result, if the file states its own.
 
     Returns
     -------
@@ -114,6 +120,18 @@ def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
     scale = unit_scale(unit)
     path = readable_file(path)
     kind = path.suffix.lower()
+    known = slicer.is_point_list(path) or (kind in TEXTS and ndi.is_ndi(path))
+    if known and unit != 'mm':
+        what = 'a point list of Slicer' if slicer.is_point_list(path) else 'an NDI tracker CSV'
+        raise InputError(f'{path} is {what}, which is in mm; set the unit to mm')
+    if slicer.is_point_list(path):
+        lists = slicer.read_point_lists(path, axes)
+        return Recording(np.concatenate([each.positions for each in lists]),
+                         source_names=[path.name])
+    if known:
+        return ndi.read_ndi(path, tool)
+    if tool is not None:
+        raise InputError(f'{path} is no NDI tracker CSV: omit --tool')
     if kind == '.ply':
         surface = load_surface(path)
         if surface.faces is not None:
@@ -121,12 +139,8 @@ def read_points(path: str | os.PathLike[str], unit: str) -> Recording:
         return Recording(surface.vertices * scale, source_names=[path.name])
     if kind not in TEXTS:
         raise InputError(
-            f'{path}: points must be a CSV, TXT or XYZ file with x, y, z, a PLY file, or an NDI '
-            'tracker CSV')
-    if ndi.is_ndi(path):
-        if unit != 'mm':
-            raise InputError(f'{path} is an NDI tracker CSV, which is in mm; set the unit to mm')
-        return ndi.read_ndi(path)
+            f'{path}: points must be a CSV, TXT or XYZ file with x, y, z, a PLY file, an NDI '
+            'tracker CSV, or a point list of Slicer (.mrk.json, .fcsv)')
     return _recording(_points_table(path), path.name, scale)
 
 

@@ -6,14 +6,12 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsdf_registration.common.result import InputError, Reason, Refusal
 
 if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
-    from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
     from msg_adapters.recording import Recording
@@ -99,19 +97,3 @@ def read_initial(path: str | None) -> Array | None:
         raise InputError(f'{path}: T_tracker_bone is not a rigid transform; give a 4x4 matrix with '
                          'a rotation and a translation in metres')
     return orthonormalized(T)
-
-
-def read_landmark_file(path: str | None, model_unit: str, unit: str) -> Landmarks | None:
-    """Return the landmarks of a CSV in these units, or of a truth YAML."""
-    if path is None:
-        return None
-    from gsdf_registration.common.landmarks import Landmarks
-    from msg_adapters.points import read_landmarks
-    from msg_adapters.truth import read_truth
-    if Path(path).suffix.lower() in ('.yaml', '.yml'):
-        truth = read_truth(path)
-        if not truth.landmark_names:
-            raise InputError(f'{path} has no landmarks')
-        return Landmarks.of(truth.landmarks_model, truth.landmarks_tracker,
-                            names=truth.landmark_names)
-    return read_landmarks(path, model_unit, unit)

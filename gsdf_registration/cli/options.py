@@ -13,6 +13,16 @@ def add_registration_options(parser: argparse.ArgumentParser) -> None:
     add_start_options(parser)
     parser.add_argument('--json', metavar='OUT',
                         help='write the result as JSON; - for standard output')
+    parser.add_argument('--slicer', metavar='OUT.tfm|.h5',
+                        help='write the pose as a transform that Slicer opens and that moves the '
+                        'model to the tracker frame (.h5 needs the extra "ct")')
+    parser.add_argument('--markups', metavar='OUT.mrk.json|.fcsv',
+                        help='write the registered points and the touched landmarks as point lists '
+                        'of Slicer, tracker frame')
+    parser.add_argument('--tf2', metavar='OUT.yaml',
+                        help='write the pose as a static transform (tf2_msgs/msg/TFMessage)')
+    parser.add_argument('--crtk', metavar='OUT.yaml',
+                        help='write the pose as CRTK publishes it (geometry_msgs/msg/PoseStamped)')
     parser.add_argument('--report', metavar='OUT.html',
                         help='write an HTML report with the result, its accuracy and a 3D view of '
                         'the points on the bone (needs the extra "report")')
@@ -22,10 +32,18 @@ def add_start_options(parser: argparse.ArgumentParser) -> None:
     """Add the model unit, the initial guess and the settings."""
     parser.add_argument('--model-unit', choices=('mm', 'm'),
                         help='unit of the lengths in MODEL (default: mm)')
-    parser.add_argument('--landmarks', metavar='FILE',
+    parser.add_argument('--landmarks', metavar='FILE', action='append',
                         help='touched landmarks as the initial guess: CSV with the columns '
                         'name, model_x, model_y, model_z, tracker_x, tracker_y, tracker_z, or the '
-                        'ground truth YAML of a recording')
+                        'ground truth YAML of a recording; or, given twice, two point lists of '
+                        'Slicer (.mrk.json, .fcsv) with the same labels, first that on the model, '
+                        'then the touched points')
+    parser.add_argument('--model-axes', choices=('lps', 'ras'),
+                        help='axes of MODEL, to which point lists of Slicer are brought (default: '
+                        'those that the file states, else lps)')
+    parser.add_argument('--tracker-axes', choices=('lps', 'ras'),
+                        help='axes in which the tracker frame is in Slicer; ras if its coordinates '
+                        'come through OpenIGTLink, as from PLUS (default: those of MODEL)')
     parser.add_argument('--initial', metavar='JSON',
                         help='initial guess: {"T_tracker_bone": 4x4, metres}; the result that '
                         '--json writes is accepted, too')

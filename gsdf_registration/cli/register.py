@@ -9,7 +9,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import inputs, options, outputs
+from gsdf_registration.cli import inputs, landmark_files, options, outputs, pose_outputs
 from gsdf_registration.common.command_line import example
 from gsdf_registration.common.result import Refusal, RegistrationResult
 
@@ -30,9 +30,12 @@ def add_parser(subparsers: Any) -> None:
                   '--json pose.json'))
     parser.add_argument('model', metavar='MODEL', help=options.MODEL_HELP)
     parser.add_argument('points', metavar='POINTS',
-                        help='CSV with the header x,y,z; an NDI tracker CSV; PLY or XYZ')
+                        help='CSV with the header x,y,z; an NDI tracker CSV; PLY or XYZ; a point '
+                        'list of Slicer (.mrk.json, .fcsv)')
     parser.add_argument('--unit', choices=('mm', 'm'), required=True,
                         help='unit of the lengths in POINTS')
+    parser.add_argument('--tool', metavar='NAME',
+                        help='part of the port label, if an NDI tracker CSV has several tools')
     options.add_registration_options(parser)
     parser.set_defaults(run=run)
 
@@ -45,12 +48,14 @@ def run(args: argparse.Namespace) -> int:
     from msg_adapters.points import read_points
 
     outputs.require_report(args.report)
+    pose_outputs.check_pose_outputs(args)
     config = inputs.effective_config(args)
     inputs.prepare_kernels(config)
     started = time.perf_counter()
     T_tracker_bone = inputs.read_initial(args.initial)
-    landmarks = inputs.read_landmark_file(args.landmarks, config.model.unit, args.unit)
-    recording = read_points(args.points, args.unit)
+    axes = landmark_files.axes_of(args, config)
+    landmarks = landmark_files.read_landmark_files(args, config, args.unit)
+    recording = read_points(args.points, args.unit, args.tool, axes.tracker)
     field = inputs.field_or_refusal(config)
     loaded = time.perf_counter()
     points = recording.positions
@@ -59,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
         bone, result = None, RegistrationResult.refused(field.reason, field.message)
     else:
         bone = field
+        landmark_files.check_axes(landmarks, bone, axes)
         result, points, rejected = register_recording(recording, bone, config, landmarks,
                                                       T_tracker_bone)
     document = result_to_json(
@@ -66,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
         model_sha256=bone.bone_sha256 if bone else None, points_sha256=sha256_of(args.points),
         load_s=loaded - started, total_s=time.perf_counter() - started)
     outputs.write_json(args.json, document)
+    pose_outputs.PoseOutputs.of(args, axes).write(result, config, config.probe.frame_id, points,
+                                                  landmarks)
     outputs.write_report(args.report, result, bone, points, document, {
         'model': args.model, 'points': args.points,
         'rejected points': counts_by_cause(rejected) or 'none'})

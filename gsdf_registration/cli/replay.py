@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import inputs, options, outputs
+from gsdf_registration.cli import inputs, landmark_files, options, outputs, pose_outputs
 from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError, Refusal, RegistrationResult
 
 if TYPE_CHECKING:
+    from gsdf_registration.cli.pose_outputs import PoseOutputs
     from gsdf_registration.common.config import Config
     from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.common.rigid import Array
@@ -58,6 +59,7 @@ class Job:
     field: Field | Refusal      # a refusal if the model is not as large as a bone
     load_s: float               # time to load the model
     report: str | None          # file of the HTML report
+    outputs: PoseOutputs        # files of the pose
 
 
 @dataclass(frozen=True)
@@ -75,14 +77,18 @@ def run(args: argparse.Namespace) -> int:
     if several and args.report:
         raise InputError('--report describes one recording; give one BAG or leave out --report')
     outputs.require_report(args.report)
+    pose_outputs.check_pose_outputs(args, several)
     config = inputs.effective_config(args)
     inputs.prepare_kernels(config)
-    landmarks = inputs.read_landmark_file(args.landmarks, config.model.unit, args.unit)
+    axes = landmark_files.axes_of(args, config)
+    landmarks = landmark_files.read_landmark_files(args, config, args.unit)
     T_tracker_bone = inputs.read_initial(args.initial)
     started = time.perf_counter()
     field = inputs.field_or_refusal(config)
+    if not isinstance(field, Refusal):
+        landmark_files.check_axes(landmarks, field, axes)
     job = Job(config, args.topic, landmarks, T_tracker_bone, field, time.perf_counter() - started,
-              args.report)
+              args.report, pose_outputs.PoseOutputs.of(args, axes))
     outcomes = []
     for bag, outcome in zip(args.bags, _outcomes(args.bags, job, args.jobs)):
         failed = outcome.status == 2
@@ -141,6 +147,7 @@ def replay_bag(bag: str, job: Job) -> Outcome:
         result, job.config, frame_id=frame_id, rejected=rejected, points_sha256=sha256_of(bag),
         model_sha256=bone.bone_sha256 if bone else None,
         load_s=job.load_s + loaded - started, total_s=job.load_s + time.perf_counter() - started)
+    job.outputs.write(result, job.config, frame_id, points, job.landmarks)
     outputs.write_report(job.report, result, bone, points, document, {
         'model': job.config.model.path, 'recording': bag,
         'frame of the points': frame_id or 'not known',
