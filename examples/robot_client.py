@@ -24,8 +24,8 @@ def problem(result: RegistrationResult, max_tre: float, grades: str) -> str:
     """Return why the pose must not be used; empty if it may be used."""
     if not result.valid:
         return str(result.message)
-    if result.grade and result.grade not in grades:     # empty: the node does not grade
-        return f'grade {result.grade}, and {" or ".join(grades)} is required'
+    if not result.grade or result.grade not in grades:
+        return f'grade "{result.grade}", and {" or ".join(grades)} is required'
     # without targets, the maximum over the bone
     errors = dict(zip(result.target_names, result.target_tre)) or {'the bone': result.tre_max}
     for target, error in errors.items():

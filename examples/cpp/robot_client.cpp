@@ -29,8 +29,8 @@ private:
   std::string problem(const RegistrationResult & result) const
   {
     if (!result.valid) {return result.message;}
-    if (!result.grade.empty() && grades_.find(result.grade) == std::string::npos) {
-      return "grade " + result.grade + ", and one of " + grades_ + " is required";
+    if (result.grade.empty() || grades_.find(result.grade) == std::string::npos) {
+      return "grade \"" + result.grade + "\", and one of " + grades_ + " is required";
     }
     bool good = !result.target_tre.empty() || result.tre_max <= max_tre_;
     for (const double error : result.target_tre) {good = good && error <= max_tre_;}  // not if NaN

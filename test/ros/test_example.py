@@ -134,7 +134,7 @@ def test_robot_moves_only_while_the_pose_is_valid_and_accurate(
     publisher = fake.node.create_publisher(ResultMessage, '/fake/result', LATCHED)
     robot = start_example('robot_client.py', '/fake', '--max-tre', '0.001', '--grades', 'A')
 
-    def found(tre: float, grade: str = '') -> ResultMessage:
+    def found(tre: float, grade: str = 'A') -> ResultMessage:
         return results.result_msg(RegistrationResult(
             Reason.CONVERGED, 'registered', np.eye(4), np.eye(6),
             predicted_tre_m={'cup': 2e-4, 'neck': tre, 'rms': 2e-3, 'max': 9e-3}), header,
@@ -146,7 +146,7 @@ def test_robot_moves_only_while_the_pose_is_valid_and_accurate(
             (results.withdrawal_msg(Withdrawal.CLEARED, 'cleared', header), 'stop: cleared'),
             (found(2e-3), 'waiting: predicted error 2.00 mm at neck'),
             (found(float('nan')), 'waiting: predicted error nan mm at neck'),
-            (found(5e-4, 'B'), 'waiting: grade B'),
+            (found(5e-4, 'B'), 'waiting: grade "B"'),
             (found(5e-4, 'A'), 'start: registration 7')):
         before = len(robot.output)
         publisher.publish(message)
