@@ -109,14 +109,17 @@ class Field:
         contacts = np.array(points, dtype=np.float64)
         if self.tip_radius != 0.0:
             finite = np.isfinite(contacts).all(axis=1)
-            contacts[finite] -= self.tip_radius * self.sample(contacts[finite])[1]
+            normals = self.sample(contacts[finite])[1]
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            contacts[finite] -= self.tip_radius * normals
         return contacts
 
     def sample(self, points: ArrayLike) -> tuple[Array, Array]:
         """
         Return signed distance and unit gradient at points, which may be outside the grid.
 
-        For a ball tip the distance is negative where the ball penetrates the bone.
+        For a ball tip the distance is negative where the ball penetrates the bone, and the gradient
+        is short where two walls are equally near, see `field.sample`.
 
         Parameters
         ----------

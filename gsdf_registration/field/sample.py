@@ -6,6 +6,11 @@ Each of the eight nodes around a point x predicts the distance there as d_i + g_
 first-order model of Sommer et al. (CVPR 2022). The trilinear interpolation of these predictions has
 the same error as that of the distances d_i, with opposite sign. Their mean,
 sum_i w_i (d_i + g_i . (x - x_i) / 2), is continuous and exact for quadratic distances.
+
+Above a groove, the distance has a crease where two walls are equally near. The mean is up to a
+third of a voxel too small there, and the gradient is that of one wall or the other. The centre of a
+ball tip in a groove narrower than itself lies exactly on the crease. So for a ball tip, the
+gradient on a crease has the length `UNCERTAIN` instead of one: such a point hardly pulls the pose.
 """
 
 from __future__ import annotations
@@ -22,6 +27,11 @@ from gsdf_registration.field.blend import blend_nodes
 CELLS = 4           # fine cells along the edge of a block
 # nodes along the edge: a block includes its far faces, so that no cell spans two blocks
 NODES = CELLS + 1
+
+# length of the mean gradient of the nodes of a cell: if it is shorter, the cell may have a crease
+CREASE = 0.97
+UNCERTAIN = 0.01    # length of the gradient on a crease; 0 would leave no direction
+CANCELLED = 1e-6    # below this length the mean gradient has no direction
 
 BATCH = 128         # points sampled at a time; their intermediate results fit into the L1 cache
 
@@ -58,16 +68,25 @@ class FieldArrays(NamedTuple):
 
 
 @inlined_kernel
-def _blend(nodes, at, stride_x, stride_y, u, v, w, step):
+def _regular_length(field):
+    """Return the length from which on the mean gradient of a cell shows that it has no crease."""
+    return _f(CREASE) if field.offset > 0.0 else _f(CANCELLED)
+
+
+@inlined_kernel
+def _blend(nodes, at, stride_x, stride_y, u, v, w, step, regular):
     """Sample a cell of width ``step`` with first node row ``at``, at (u, v, w) in [0, 1]^3."""
     d, gx, gy, gz, x, y, z = blend_nodes(nodes, at, stride_x, stride_y, u, v, w)
     # sum_i w_i g_i . (x - x_i) / 2, with the terms of opposite faces combined
     one = _f(1.0)
     d -= _f(0.5) * step * (u * (one - u) * x + v * (one - v) * y + w * (one - w) * z)
     n = math.sqrt(gx * gx + gy * gy + gz * gz)
-    if n < _f(1e-6):  # on the medial axis the gradients cancel: use that of one node
+    if n < _f(CANCELLED):  # on the medial axis the gradients cancel: use that of one node
         return float(d), float(nodes[at, 1]), float(nodes[at, 2]), float(nodes[at, 3])
     s = one / n
+    # gradients point to each other on a crease, and away from each other around a ridge
+    if n < regular and x + y + z < _f(0.0):
+        s *= _f(UNCERTAIN)
     return float(d), float(gx * s), float(gy * s), float(gz * s)
 
 
@@ -87,7 +106,8 @@ def _sample_cell(field, i, j, k, u, v, w):
         at = ((_u(block) * _u(NODES) + a) * _u(NODES) + b) * _u(NODES) + c
         u, v, w, step = u - a, v - b, w - c, field.voxel
     # one call for both levels, which is inlined once
-    return _blend(field.nodes, at, stride_x, stride_y, _f(u), _f(v), _f(w), _f(step))
+    return _blend(field.nodes, at, stride_x, stride_y, _f(u), _f(v), _f(w), _f(step),
+                  _regular_length(field))
 
 
 @kernel
@@ -139,9 +159,9 @@ def sample_batch(field, x, origin, n, value):
         _find(x[a], origin[a] - field.origin[a], field.voxel, CELLS * field.block_of.shape[a], n,
               cell[a], share[a])
     _blend_batch(field, cell, share, n, value)
-    if _normalize(value, n) == n:
+    if _normalize(value, n, _regular_length(field)) == n:
         return
-    for k in range(n):      # on the medial axis or in a cell without fine nodes
+    for k in range(n):      # on the medial axis, on a crease or in a cell without fine nodes
         if value[1, k] == 0.0 and value[2, k] == 0.0 and value[3, k] == 0.0:
             value[0, k], value[1, k], value[2, k], value[3, k] = sample(
                 field, origin[0] + x[0, k], origin[1] + x[1, k], origin[2] + x[2, k])
@@ -181,15 +201,15 @@ def _blend_batch(field, cell, share, n, value):
 
 
 @kernel
-def _normalize(value, n):
-    """Normalize the gradients, or set them to zero if they cancel; return how many are not zero."""
+def _normalize(value, n, regular):
+    """Normalize the gradients, or set shorter ones to zero; return how many are not zero."""
     count = 0
     for k in range(n):
         x, y, z = value[1, k], value[2, k], value[3, k]
         length = math.sqrt(x * x + y * y + z * z)
-        s = _f(1.0) / length if length >= _f(1e-6) else _f(0.0)
+        s = _f(1.0) / length if length >= regular else _f(0.0)
         value[1, k], value[2, k], value[3, k] = x * s, y * s, z * s
-        count += 1 if length >= _f(1e-6) else 0
+        count += 1 if length >= regular else 0
     return count
 
 
