@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import codecs
 import contextlib
+import datetime
 import hashlib
 import os
 import stat
@@ -143,6 +144,25 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
     for file in sorted(p for p in root.iterdir() if p.is_file()) if root.is_dir() else [root]:
         digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def keep_with_date(path: Path) -> Path:
+    """Give a file another name, with its date, and return it; ``path`` may stay or not."""
+    date = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.timezone.utc)
+    stem, number = f'{path.stem}.{date:%Y-%m-%dT%H-%M-%SZ}', 1
+    while True:
+        kept = path.with_name(f'{stem}{"" if number == 1 else f"-{number}"}{path.suffix}')
+        try:
+            os.link(path, kept)     # never overwrites
+            return kept
+        except FileExistsError:
+            number += 1
+        except OSError:     # a file system without hard links
+            if kept.exists():
+                number += 1
+                continue
+            os.rename(path, kept)
+            return kept
 
 
 def write_atomically(path: str | os.PathLike[str], content: str | bytes | Iterable[bytes],

@@ -37,7 +37,13 @@ from typing import Any, BinaryIO
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import shortened
-from msg_adapters.files import absolute_path, irregular, open_file, write_atomically
+from msg_adapters.files import (
+    absolute_path,
+    irregular,
+    keep_with_date,
+    open_file,
+    write_atomically,
+)
 from msg_adapters.point_lines import lines_of, points_of
 
 SCHEMA = 'gsdf-session/3'
@@ -105,7 +111,7 @@ def write_session(path: str | os.PathLike[str], session: dict[str, Any],
         present = identity(path)
         if present is not None and present != replaces:
             _check_replaceable(path)
-            kept = _keep(path)
+            kept = keep_with_date(path)
 
     write_atomically(path, _signed(blocks), before=keep)
     return kept
@@ -239,25 +245,6 @@ def _check_replaceable(path: Path) -> None:
         raise InputError(f'{path} cannot be written: {error.strerror}') from None
     if found:
         raise InputError(f'{path} is {found}, so it is not overwritten; set another session.path')
-
-
-def _keep(path: Path) -> Path:
-    """Give the file at ``path`` another name, with its date; ``path`` may stay or not."""
-    date = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.timezone.utc)
-    stem, number = f'{path.stem}.{date:%Y-%m-%dT%H-%M-%SZ}', 1
-    while True:
-        kept = path.with_name(f'{stem}{"" if number == 1 else f"-{number}"}{path.suffix}')
-        try:
-            os.link(path, kept)     # never overwrites
-            return kept
-        except FileExistsError:
-            number += 1
-        except OSError:     # a file system without hard links
-            if kept.exists():
-                number += 1
-                continue
-            os.rename(path, kept)
-            return kept
 
 
 def _lines(value: Any, indent: str = '') -> Iterator[str]:

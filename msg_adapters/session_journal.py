@@ -40,7 +40,8 @@ from msg_adapters.packed_rows import packed, unpacked
 from msg_adapters.session_file import now
 
 SCHEMA = 'gsdf-journal/3'
-PERSISTENT = frozenset({'model', 'collecting'})     # repeated at the start of the next file
+# repeated at the start of the next file
+PERSISTENT = frozenset({'model', 'collecting', 'tip'})
 WORTH_KEEPING = frozenset({'point', 'landmark', 'verification', 'registration'})
 MAX_SIZE = 1_000_000_000    # bytes of a journal that is read
 MAX_HEAD = 1000
@@ -152,6 +153,9 @@ class SessionJournal:
         """Start a file with a whole session."""
         persistent = {'model': _body('model', session['model_sha256']),
                       'collecting': _body('collecting', session['collecting'])}
+        tip = session['parameters'].get('probe.tip')
+        if tip:
+            persistent['tip'] = _body('tip', tip)
         if self._renewing:
             self._close_file()
         elif self._end(_session_bodies(session)):

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.duration import Duration
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.node.probe_topics import POSE, accepted_types
 from gsdf_registration.node.qos import POINTS
 from gsdf_registration.node.transforms import STATIC
 
@@ -96,11 +96,14 @@ def input_hints(graph: Graph, config: Config, arrivals: Arrivals, waiting: bool)
     """
     probes = [graph.resolve_topic_name(topic) for topic in config.probe.topics]
     publishers = {topic: graph.get_publishers_info_by_topic(topic) for topic in probes}
+    kinds = accepted_types(config.probe.type)
+    setting = 'probe.topics' if config.probe.type == 'auto' else f'probe.type {config.probe.type}'
     hints = [hint for topic in probes
-             for hint in _mismatches(topic, publishers[topic], PointStamped, 'probe.topics')]
+             for hint in (*_mismatches(topic, publishers[topic], kinds, setting),
+                          *_several_types(topic, publishers[topic], kinds))]
     if config.reference.topic:
         topic = graph.resolve_topic_name(config.reference.topic)
-        hints += _mismatches(topic, graph.get_publishers_info_by_topic(topic), PoseStamped,
+        hints += _mismatches(topic, graph.get_publishers_info_by_topic(topic), (POSE,),
                              'reference.topic')
     if waiting and arrivals.silence > SILENCE and not hints:
         hints.append(_silence(probes, any(publishers.values())))
@@ -188,22 +191,34 @@ class Hints:
         return '; '.join(hint.sentence for hint in self._current)
 
 
-def _mismatches(topic: str, publishers: Sequence[TopicEndpointInfo], kind: Any,
+def _mismatches(topic: str, publishers: Sequence[TopicEndpointInfo], kinds: Sequence[str],
                 setting: str) -> list[Hint]:
     """Return the hints on publishers whose type or QoS this node cannot receive."""
-    name = type_name(kind)
     hints = []
     for info in publishers:
-        given = info.topic_type.replace('/msg/', '/')
-        if given != name:
-            hints.append(Hint(f'{topic} is published as {given} by {_node_of(info)}; {setting} '
-                              f'needs {name}'))
+        if info.topic_type not in kinds:
+            hints.append(Hint(f'{topic} is published as {_short(info.topic_type)} by '
+                              f'{_node_of(info)}; {setting} needs '
+                              f'{" or ".join(map(_short, kinds))}'))
             continue
         reason = _incompatible(info.qos_profile, POINTS)
         if reason:
             hints.append(Hint(f'nothing is received on {topic} from {_node_of(info)}: '
                               f'incompatible QoS: {reason}'))
     return list(dict.fromkeys(hints))
+
+
+def _several_types(topic: str, publishers: Sequence[TopicEndpointInfo],
+                   kinds: Sequence[str]) -> list[Hint]:
+    """Return a hint if a topic has messages of several types, of which one is received."""
+    found = sorted({_short(info.topic_type) for info in publishers if info.topic_type in kinds})
+    return [Hint(f'{topic} is published as {" and as ".join(found)}, and only one is received: '
+                 'give each its own topic')] if len(found) > 1 else []
+
+
+def _short(topic_type: str) -> str:
+    """Return the name of a message type without its folder: geometry_msgs/PointStamped."""
+    return topic_type.replace('/msg/', '/')
 
 
 def _silence(probes: Sequence[str], published: bool) -> Hint:

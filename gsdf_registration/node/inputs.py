@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
@@ -18,9 +19,11 @@ from rclpy.timer import Timer
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import SampleSink
+from gsdf_registration.common.samples import Sample, SampleSink
 from gsdf_registration.node import transforms
 from gsdf_registration.node.hints import Arrivals, type_name
+from gsdf_registration.node.lifecycle import RCLError
+from gsdf_registration.node.probe_topics import MESSAGES, POINT, type_to_receive
 from gsdf_registration.node.qos import POINTS, STEADY, UNWATCHED_POINTS
 from gsdf_registration.tracking.clock import BACK
 from gsdf_registration.tracking.frames import Frames
@@ -30,6 +33,7 @@ from msg_adapters.motion import INVALID_TRANSFORM
 
 PERIOD = 0.1        # s, between two checks for points that have waited too long
 IDLE_PERIOD = 1.0   # s, the same if no point can wait
+TYPE_PERIOD = 0.1   # s, between two looks at the types that are published
 MAX_BATCH = 2000    # messages of one topic per callback; then other topics are served
 SHOW_FOR = 3.0      # s for which the status says why points were rejected
 LOG_PERIOD = 10.0   # s, between two equal log lines
@@ -39,25 +43,37 @@ class Inputs:
     """
     Receives the topics of ``config`` and passes their points to a session, in the session frame.
 
-    Points are ignored unless ``active``; poses and transforms are always received.
+    Points are ignored unless ``active``; poses and transforms are always received.  What a topic of
+    the probe carries is found from its publishers, now and later, see `type_to_receive`.
+
+    Parameters
+    ----------
+    node, config, session
+    types : message type by topic, as these inputs' predecessors received them
+
     """
 
-    def __init__(self, node: Node, config: Config, session: SampleSink) -> None:
+    def __init__(self, node: Node, config: Config, session: SampleSink,
+                 types: Mapping[str, str] = MappingProxyType({})) -> None:
         self.active = False
+        self.types: dict[str, str] = {}     # message type received by topic; empty: none
         self.arrivals = Arrivals()
         self._node = node
         self._transformer = PointTransformer(session, None)
         self._delay = 0.0       # s that the last pose or transform waited in the queue
         self._transforms: transforms.Transforms | None = None
-        self._subscriptions: list[Subscription] = []
+        self._subscriptions: dict[str, Subscription] = {}
+        self._probe_type = config.probe.type
         try:
             for topic in config.probe.topics:
-                self._subscribe(PointStamped, topic, partial(self._on_point, topic))
+                self._receive(topic, type_to_receive(node, topic, config.probe.type,
+                                                     types.get(topic, '')))
             if config.reference.topic:
                 self._subscribe(PoseStamped, config.reference.topic, self._on_pose)
         except Exception:
             self._unsubscribe()
             raise
+        self._type_timer = node.create_timer(TYPE_PERIOD, self._follow_types, clock=STEADY)
         self._timer: Timer | None = None
         back = JumpThreshold(min_forward=None, min_backward=Duration(seconds=-BACK),
                              on_clock_change=True)
@@ -68,12 +84,14 @@ class Inputs:
         """Pass points on from now on."""
         self.active = True
         self.arrivals.restart()
-        for subscription in self._subscriptions:
+        for subscription in self._subscriptions.values():
             self._node.get_logger().info(f'active, listening on {subscription.topic_name} '
                                          f'({type_name(subscription.msg_type)})')
 
     def configure(self, config: Config) -> None:
         """Apply changed settings; /tf costs time, so it is received only if it is needed."""
+        self._probe_type = config.probe.type
+        self._follow_types()
         needed = bool(config.points_frame) and transforms.is_available()
         if needed and self._transforms is None:
             self._transformer.set_frames(Frames())
@@ -87,6 +105,31 @@ class Inputs:
         self._stop_timer()
         self._timer = self._node.create_timer(PERIOD if may_wait else IDLE_PERIOD, self._check,
                                               clock=STEADY)
+
+    def _receive(self, topic: str, kind: str) -> None:
+        """Receive messages of this type, of `MESSAGES`, on a topic of the probe."""
+        self.types[topic] = ''
+        former = self._subscriptions.pop(topic, None)
+        if former is not None:      # DDS has one type for each topic of a process
+            self._node.destroy_subscription(former)
+        callback = (partial(self._on_point, topic) if kind == POINT
+                    else partial(self._on_tool_pose, topic, kind))
+        self._subscribe(MESSAGES[kind], topic, callback)
+        self.types[topic] = kind
+
+    def _follow_types(self) -> None:
+        """Receive what is published on the topics of the probe."""
+        for topic, kind in self.types.items():
+            wanted = type_to_receive(self._node, topic, self._probe_type, kind)
+            if wanted == kind:
+                continue
+            try:
+                self._receive(topic, wanted)
+            except RCLError as error:   # the former type is still in use: try again
+                self._node.get_logger().warning(f'{topic} cannot be received as {wanted} yet: '
+                                                f'{error}', throttle_duration_sec=LOG_PERIOD)
+                continue
+            self._node.get_logger().info(f'{topic} is received as {wanted}')
 
     def _subscribe(self, kind: Any, topic: str,
                    callback: Callable[[Any, dict[str, Any]], None]) -> None:
@@ -107,18 +150,19 @@ class Inputs:
         on_message: Any = take_all      # rclpy accepts two arguments, but does not annotate them
         subscription = self._node.create_subscription(kind, topic, on_message, POINTS,
                                                       event_callbacks=UNWATCHED_POINTS)
-        self._subscriptions.append(subscription)
+        self._subscriptions[topic] = subscription
 
     def destroy(self) -> None:
         """Remove subscriptions, timer and clock callback."""
         self._jumps.unregister()
         self._stop_timer()
+        self._node.destroy_timer(self._type_timer)
         self._unsubscribe()
         if self._transforms is not None:
             self._transforms.destroy()
 
     def _unsubscribe(self) -> None:
-        for subscription in self._subscriptions:
+        for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
 
     def _stop_timer(self) -> None:
@@ -138,9 +182,16 @@ class Inputs:
     def _on_point(self, topic: str, message: PointStamped, info: dict[str, Any]) -> None:
         if self.active:
             arrival = self._now() - transforms.queue_delay(info)
-            sample = ros.sample_from(message, topic, arrival)
-            self.arrivals.add(topic, sample.stamp, arrival)
-            self._transformer.add_point(sample)
+            self._add(ros.sample_from(message, topic, arrival), arrival)
+
+    def _on_tool_pose(self, topic: str, kind: str, message: Any, info: dict[str, Any]) -> None:
+        if self.active:
+            arrival = self._now() - transforms.queue_delay(info)
+            self._add(ros.tool_sample_from(message, kind, topic, arrival), arrival)
+
+    def _add(self, sample: Sample, arrival: float) -> None:
+        self.arrivals.add(sample.topic, sample.stamp, arrival)
+        self._transformer.add_point(sample)
 
     def _on_transform(self, parent: str, child: str, stamp: float, T: Array, static: bool,
                       delay: float) -> None:

@@ -355,7 +355,7 @@ class RegistrationNode(PreparedLifecycleNode):
         if self._inputs is None or config.probe.topics == before.probe.topics:
             return self._inputs
         try:
-            return Inputs(self, config, self.session)
+            return Inputs(self, config, self.session, self._inputs.types)
         except RCLError as error:       # such as a topic of another type in this process
             raise InputError(f'probe.topics: {error}; {", ".join(before.probe.topics)} is kept'
                              ) from None

@@ -21,11 +21,13 @@ point         [stroke, source, stamp, x, y, z] of an added point, s and m, follo
 rejected      {cause: number} of rejected samples
 undo          number of the stroke dropped, the last one or any other
 withdrawn     [source, stamp]: the points of this source from this stamp on are dropped
-landmark      as in the session record
+landmark      as in the session record; it replaces one of the same name
 verification  as in the session record
 registration  {result, pose_frame_id, verifications: measured again, fit: rows of residual and
               weight}; the last three are None after a refusal
 no_pose       why the accepted registration is withdrawn; the points stay
+tip           [x, y, z] of the tip in the frame of the tool, or []: what was touched with a tool is
+              at another place, see `tool_pose`
 ============  ======================================================================================
 """
 
@@ -36,7 +38,11 @@ from typing import Any
 
 import numpy as np
 
+from gsdf_registration.common.json_values import plain
+from gsdf_registration.common.tool_pose import tip_positions
+from gsdf_registration.session.landmark_capture import LandmarkCapture
 from gsdf_registration.session.record import (
+    COLUMNS,
     FIT,
     NAMES,
     OPTIONAL,
@@ -44,7 +50,10 @@ from gsdf_registration.session.record import (
     ROW,
     column,
     empty_record,
+    landmark_from,
+    verification_from,
 )
+from gsdf_registration.session.verification import with_tip
 
 CAPACITY = 1024     # points, at first
 # numbers of a point in an event: with the pose of the tool, or without
@@ -97,8 +106,13 @@ class Replay:
         elif event == 'withdrawn':
             source, since = value
             self._keep((points['source'] != source) | (points['stamp'] < since))
-        elif event in ('landmark', 'verification'):
-            session[f'{event}s'].append(value)
+        elif event == 'landmark':
+            session['landmarks'] = [each for each in session['landmarks']
+                                    if each['name'] != value['name']] + [value]
+        elif event == 'verification':
+            session['verifications'].append(value)
+        elif event == 'tip':
+            self._apply_tip(value)
         elif event == 'registration':
             self._register(value)
         elif event == 'no_pose':
@@ -107,7 +121,7 @@ class Replay:
             self._set_model(value)
         elif event == 'clear':
             self._session = empty_record(session['model_sha256']) | {
-                'collecting': session['collecting']}
+                'collecting': session['collecting'], 'parameters': session['parameters']}
             self._size = 0
         elif event == 'session':
             self._session, self._size = {**empty_record(None), **value}, 0
@@ -149,6 +163,20 @@ class Replay:
             raise ValueError(f'a registration of {len(fit)} points, but there are {self._size}')
         for name in FIT:
             self._points[name] = fit[name]
+
+    def _apply_tip(self, tip: list[float]) -> None:
+        session, points = self._session, self._points
+        session['parameters'] = {**session['parameters'], 'probe.tip': tip}
+        tools = np.stack([points[name] for name in COLUMNS['tools']], axis=1)
+        rows = np.flatnonzero(~np.isnan(tools[:, 0]))
+        for name, values in zip(COLUMNS['positions'], tip_positions(tools[rows], tip).T):
+            points[name][rows] = values
+        landmarks = LandmarkCapture()
+        landmarks.captured = [landmark_from(item) for item in session['landmarks']]
+        landmarks.apply_tip(tip)
+        session['landmarks'] = plain(landmarks.captured)
+        session['verifications'] = plain(with_tip(
+            [verification_from(item) for item in session['verifications']], tip))
 
     def _withdraw_pose(self) -> None:
         session = self._session

@@ -24,6 +24,7 @@ from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import MAX_COORDINATE, Array
 from gsdf_registration.common.samples import Points
+from gsdf_registration.common.tool_pose import NOT_UNIT, ToolPose, is_valid
 from gsdf_registration.session.landmark_capture import CapturedLandmark
 from gsdf_registration.session.result_record import (
     array,
@@ -65,6 +66,7 @@ class SessionRecord:
     result: RegistrationResult | None
     pose_result: RegistrationResult | None
     pose_frame_id: str
+    tip: list[float]                    # ``probe.tip`` that the positions were computed with
 
     def to_dict(self, config: Config) -> dict[str, Any]:
         """Return the record with settings and versions: plain values, and the rows of points."""
@@ -107,11 +109,9 @@ class SessionRecord:
                 source_names=[text(name) for name in sources],
                 points=points, residuals=residuals, weights=weights,
                 rejected={text(cause): count(times) for cause, times in record['rejected'].items()},
-                landmarks=[CapturedLandmark(
-                    text(item['name']), array(item['model']), array(item['tracker']),
-                    number(item['spread_m']), number(item['stamp']))
-                    for item in record['landmarks']],
-                verifications=[_verification(item) for item in record['verifications']],
+                landmarks=[landmark_from(item) for item in record['landmarks']],
+                verifications=[verification_from(item) for item in record['verifications']],
+                tip=_tip(record['parameters'].get('probe.tip', [])),
                 result=result_from_dict(record['result']), pose_result=accepted,
                 pose_frame_id=text(record['frames']['pose']))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -165,6 +165,10 @@ def _columns(rows: np.ndarray, sources: int) -> tuple[Points, Array, Array]:
         raise ValueError('a point has no valid stamp or position')
     if not ((points.strokes >= 1) & (points.sources >= 0) & (points.sources < sources)).all():
         raise ValueError('a point has no valid stroke or source')
+    tools = points.tools[~np.isnan(points.tools).all(axis=1)]
+    if not (np.abs(tools[:, :3]) < MAX_COORDINATE).all() or not (
+            np.abs(np.linalg.norm(tools[:, 3:], axis=1) - 1.0) <= NOT_UNIT).all():
+        raise ValueError('a point has no valid pose of the tool')
     if np.isinf(residuals).any() or (weights < 0.0).any() or (weights > 1.0).any():
         raise ValueError('a point has no valid residual or weight')
     return points, residuals, weights
@@ -178,7 +182,32 @@ def _values(rows: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
     return values if len(names) > 1 else values[:, 0]
 
 
-def _verification(item: Mapping[str, Any]) -> Verification:
+def landmark_from(item: Mapping[str, Any]) -> CapturedLandmark:
+    """Return a landmark of a record; raise KeyError, TypeError or ValueError if it is damaged."""
+    sigma = number(item.get('sigma_m', 0.0))
+    if sigma < 0.0:
+        raise ValueError(f'{sigma} is no standard deviation')
+    return CapturedLandmark(text(item['name']), array(item['model']), array(item['tracker']),
+                            number(item['spread_m']), number(item['stamp']), _tool(item), sigma)
+
+
+def verification_from(item: Mapping[str, Any]) -> Verification:
+    """Return a verification point of a record; raise as `landmark_from`."""
     moved = item['moved_m']
     return Verification(array(item['position']), number(item['distance_m']), number(item['stamp']),
-                        count(item['checkpoint']), None if moved is None else number(moved))
+                        count(item['checkpoint']), None if moved is None else number(moved),
+                        _tool(item))
+
+
+def _tool(item: Mapping[str, Any]) -> ToolPose | None:
+    values = item.get('tool')
+    if values is None:
+        return None
+    x, y, z, qx, qy, qz, qw = array(values, (7,)).tolist()
+    if not is_valid((x, y, z, qx, qy, qz, qw)):
+        raise ValueError(f'{values} is no pose of a tool')
+    return x, y, z, qx, qy, qz, qw
+
+
+def _tip(values: Any) -> list[float]:
+    return [] if values == [] else [float(value) for value in array(values)]

@@ -48,7 +48,7 @@ class SessionState:
 
     def __init__(self, config: Config, field: Field | None) -> None:
         self.config = config
-        self.field = field
+        self.field = None if field is None else field.for_tip(config.probe.tip_radius)
         self.collection = Collection(config.points_frame)
         self.collection.collecting = config.collect.automatic
         self.tip = StationaryTipDetector()
@@ -82,6 +82,8 @@ class SessionState:
             return
         listener('model', self._model_sha256)
         listener('collecting', self.collection.collecting)
+        if self.config.probe.tip:
+            listener('tip', self.config.probe.tip)
         for topic in self._source_of:
             listener('source', topic)
         self._reported_frame = None
@@ -309,7 +311,7 @@ class SessionState:
             self.revision += 1
             if self.field is not None:      # landmarks captured before the first model belong to it
                 self.landmarks = LandmarkCapture()
-        self.field = field
+        self.field = field.for_tip(self.config.probe.tip_radius)
         self._report('model', self._model_sha256)
         return other
 
@@ -324,6 +326,15 @@ class SessionState:
         before, self.config = self.config, config
         if config.probe.tip != before.probe.tip:
             self._apply_tip(config.probe.tip)
+        if config.probe.tip_radius != before.probe.tip_radius:
+            self._apply_tip_radius(config.probe.tip_radius)
+
+    def _apply_tip_radius(self, radius: float) -> None:
+        """Use another radius of the ball tip; the points, which are its centres, stay."""
+        if self.field is not None:
+            self.field = self.field.for_tip(radius)
+        self.withdraw_pose(Withdrawal.TIP_CHANGED, 'the pose is withdrawn because probe.tip_radius '
+                           'was changed: register again')
 
     def _apply_tip(self, tip: list[float]) -> None:
         """Move everything that was touched with a tool to this tip, (3,) m or empty."""
@@ -335,13 +346,9 @@ class SessionState:
         self.verifications = with_tip(self.verifications, tip)
         accepted = self.accepted
         if accepted is not None and accepted.uses_tools:
-            assert self.field is not None and accepted.result.T_bone_tracker is not None
-            self.verifications = measured_again(self.verifications, self.field,
-                                                accepted.result.T_bone_tracker)
             self.withdraw_pose(Withdrawal.TIP_CHANGED, 'the pose is withdrawn because the tip of '
                                'the probe was calibrated or set anew: register again')
-        self._report('tip', {'tip': tip, 'landmarks': plain(self.landmarks.captured),
-                             'verifications': plain(self.verifications)})
+        self._report('tip', tip)
 
     @property
     def tip_missing(self) -> bool:
@@ -391,10 +398,16 @@ class SessionState:
             dict(self.collection.counts), list(self.landmarks.captured),
             list(self.verifications), self.result,
             None if accepted is None else accepted.result,
-            '' if accepted is None else accepted.frame_id)
+            '' if accepted is None else accepted.frame_id, self.config.probe.tip)
 
     def restore(self, saved: SessionRecord) -> None:
-        """Replace the state by a saved one; `InputError`, and no change, if it does not fit."""
+        """
+        Replace the state by a saved one; `InputError`, and no change, if it does not fit.
+
+        If ``probe.tip`` is not set, that of the saved session is used from now on.
+        """
+        config = self.config if self.config.probe.tip else self.config.replaced(
+            {'probe.tip': saved.tip})
         self.collection.restore(saved.points, saved.frame_id, saved.rejected, self.config)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
         self.landmarks.captured = saved.landmarks
@@ -415,6 +428,9 @@ class SessionState:
         last = saved.result
         self.refusal = last if last is not None and not last.success else None
         self._accepted_last = last is not None and last.success
+        self.config = config
+        if config.probe.tip != saved.tip:
+            self._apply_tip(config.probe.tip)
         self.revision += 1
         self._report('session', self.record().to_dict(self.config))
 

@@ -70,12 +70,23 @@ def test_says_nothing_of_a_tracker_that_is_wired_well() -> None:
 
 
 def test_reports_a_publisher_of_another_type() -> None:
-    assert sentences(Graph({'/probe/tip': [endpoint(POSE)]})) == [
-        '/probe/tip is published as geometry_msgs/PoseStamped by /or/tracker; probe.topics needs '
-        'geometry_msgs/PointStamped']
+    (hint,) = sentences(Graph({'/probe/tip': [endpoint('std_msgs/msg/String')]}))
+    assert hint.startswith('/probe/tip is published as std_msgs/String by /or/tracker; '
+                           'probe.topics needs geometry_msgs/PointStamped or')
+    positions = Config.from_flat({'probe.type': 'point'})
+    assert sentences(Graph({'/probe/tip': [endpoint(POSE)]}), positions) == [
+        '/probe/tip is published as geometry_msgs/PoseStamped by /or/tracker; probe.type point '
+        'needs geometry_msgs/PointStamped']
+    assert sentences(Graph({'/probe/tip': [endpoint(POSE)]})) == []
     config = Config.from_flat({'reference.topic': '/array'})
     assert 'reference.topic needs geometry_msgs/PoseStamped' in sentences(
         Graph({'/array': [endpoint(POINT)]}), config)[0]
+
+
+def test_reports_a_topic_with_two_types_that_could_be_the_probe() -> None:
+    assert sentences(Graph({'/probe/tip': [endpoint(), endpoint(POSE)]})) == [
+        '/probe/tip is published as geometry_msgs/PointStamped and as geometry_msgs/PoseStamped, '
+        'and only one is received: give each its own topic']
 
 
 def test_reports_that_no_point_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
