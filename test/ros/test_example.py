@@ -21,7 +21,7 @@ from ros_support import ROOT, Tracker
 from std_srvs.srv import Trigger
 
 from gsdf_registration.clients.operator import Operator
-from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.result import Reason, RegistrationResult, Zone
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.node.qos import LATCHED
 from msg_adapters import results, ros
@@ -137,8 +137,9 @@ def test_robot_moves_only_while_the_pose_is_valid_and_accurate(
     def found(tre: float, grade: str = 'A') -> ResultMessage:
         return results.result_msg(RegistrationResult(
             Reason.CONVERGED, 'registered', np.eye(4), np.eye(6),
-            predicted_tre_m={'cup': 2e-4, 'neck': tre, 'rms': 2e-3, 'max': 9e-3}), header,
-            grade=grade)
+            predicted_tre_m={'cup': 2e-4, 'neck': tre, 'rms': 2e-3, 'max': 9e-3},
+            zone=Zone(2e-3, 0.1, {'A': 1.0, 'B': 0.5}[grade], {'cup': 4e-4, 'neck': 2.0 * tre},
+                      1e-3, 9e-3)), header)
 
     for message, printed in (
             (results.withdrawal_msg(Withdrawal.CLEARED, 'not yet', header), 'waiting: not yet'),
