@@ -16,20 +16,26 @@ if TYPE_CHECKING:
     from gsdf_registration.field import Field
     from msg_adapters.recording import Recording
 
+METRES = {'mm': 1e-3, 'm': 1.0}     # of a unit
+
 
 def effective_config(args: argparse.Namespace) -> Config:
-    """Return the settings of ``--config``, with the model and its unit from the command line."""
+    """Return the settings of ``--config``, with those that the command line names."""
     from msg_adapters.settings_file import read_config
     config = read_config(args.config)
     changes = {'model.path': args.model}
     if args.model_unit:
         changes['model.unit'] = args.model_unit
+    if getattr(args, 'tip_radius', None) is not None:
+        changes['probe.tip_radius'] = args.tip_radius * METRES[args.unit]
     return config.replaced(changes)
 
 
 def field_or_refusal(config: Config) -> Field | Refusal:
     """
-    Return the field of the model, or the refusal if the model is not as large as a bone.
+    Return the field of the model for the tip of the probe.
+
+    If the model is not as large as a bone, the refusal is returned.
 
     Raises
     ------
@@ -39,7 +45,8 @@ def field_or_refusal(config: Config) -> Field | Refusal:
     """
     from gsdf_registration.field.model import load_model
     try:
-        return load_model(config.model.path, config.model.unit, config.model.voxel_size)
+        field = load_model(config.model.path, config.model.unit, config.model.voxel_size)
+        return field.for_tip(config.probe.tip_radius)
     except InputError as error:
         if error.reason is not Reason.WRONG_UNIT:
             raise

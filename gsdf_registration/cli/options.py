@@ -11,6 +11,9 @@ MODEL_HELP = 'bone model: STL, PLY, OBJ, OFF, a .gsdf field, or a point cloud wi
 def add_registration_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `register` and `replay` have in common."""
     add_start_options(parser)
+    parser.add_argument('--tip-radius', type=float, metavar='R',
+                        help='radius of the ball at the end of the probe, in the unit of --unit; '
+                        'the points are then those of its centre (default: probe.tip_radius)')
     parser.add_argument('--json', metavar='OUT',
                         help='write the result as JSON; - for standard output')
     parser.add_argument('--slicer', metavar='OUT.tfm|.h5',

@@ -80,6 +80,9 @@ class ProbeConfig:
     tip: list[float] = setting(
         [], 'position of the tip in the frame of the tool, x y z, for poses of the tool; empty: '
         'not known, set or calibrate it; 0 0 0: the pose is that of the tip', 'm', items=float)
+    tip_radius: float = setting(0.0, 'radius of the ball at the end of the probe, if the positions '
+                                'of the tip are those of its centre; 0: a sharp tip', 'm', 0.0,
+                                0.01)
     shaft: list[float] = setting(
         [], 'direction of the shaft in the frame of the tool, x y z, from the tip to the handle; '
         'empty: not known', items=float)

@@ -125,6 +125,7 @@ def assess_all_points(points: Points,
     Cancelled
 
     """
+    field = field.for_tip(config.probe.tip_radius)
     try:
         check_points(points.positions, field, config.limits)
     except Refusal as refusal:

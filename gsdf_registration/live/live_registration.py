@@ -82,7 +82,7 @@ class LiveRegistration:
 
     Parameters
     ----------
-    field : of the bone
+    field : of the bone; that for the tip is made from it
     config : Config
 
     """
@@ -91,7 +91,7 @@ class LiveRegistration:
         self.revision = -1      # of the points followed, as counted by their source
         self.assessment: FullAssessment | None = None   # the last one
         self.ready = False      # whether a search has found a pose that `register` would accept
-        self._field = field
+        self._field = field.for_tip(config.probe.tip_radius)
         self._config = config
         self._points = _no_points()
         self._pose: WarmPose | None = None
@@ -108,6 +108,11 @@ class LiveRegistration:
     def config(self, config: Config) -> None:
         """Use these settings; the next assessment searches again."""
         self._config, self._search = config, None
+        field = self._field.for_tip(config.probe.tip_radius)
+        if field is not self._field:    # the pose so far is that of another surface
+            self._field, self._points, self.ready = field, _no_points(), False
+            self._pose = self._previous = self.assessment = None
+            self.revision, self._assessed_revision = -1, -2     # ignores a running assessment
 
     @property
     def count(self) -> int:

@@ -174,6 +174,7 @@ class LiveWorker:
         pose = live.follow(revision, points)
         if revision != before:
             self._cancel.set()
+            self._assessed = (-1, 0)
             self._next_assessment = self._next_search = 0.0
             self._update_status()
         if self._assessing is not None and self._assessing.done():

@@ -93,10 +93,11 @@ class Outputs:
         if found.T_tracker_bone is not None and found.covariance is not None:
             with self._drawing:
                 if self._field is not None:
+                    config = session.config
                     self._scene.show_pose(
-                        self._field, session.config.limits, found.T_tracker_bone, found.covariance,
-                        found.points.positions, found.residuals_m, found.weights,
-                        found.points.strokes, found.next_touches)
+                        self._field.for_tip(config.probe.tip_radius), config.limits,
+                        found.T_tracker_bone, found.covariance, found.points.positions,
+                        found.residuals_m, found.weights, found.points.strokes, found.next_touches)
             self._shows_live = True
         elif self._shows_live or found.next_touches:
             self._draw_registration(session, found.next_touches)
@@ -122,6 +123,8 @@ class Outputs:
                     or result.weights is None):
                 self._scene.show_bone(self._field, next_touches)
                 return
+            config = session.config
             self._scene.show_pose(
-                self._field, session.config.limits, result.T_tracker_bone, result.covariance,
-                points.positions, result.residuals_m, result.weights, points.strokes, next_touches)
+                self._field.for_tip(config.probe.tip_radius), config.limits, result.T_tracker_bone,
+                result.covariance, points.positions, result.residuals_m, result.weights,
+                points.strokes, next_touches)

@@ -74,6 +74,7 @@ class ScenePublisher:
         Parameters
         ----------
         field : Field
+            For the tip of the probe; points are drawn where the tip touches the bone.
         limits : LimitsConfig
             Scales of the colours.
         T_tracker_bone : (4, 4) float
@@ -86,7 +87,7 @@ class ScenePublisher:
             Best first.
 
         """
-        on_bone = transform(inverse(T_tracker_bone), positions)
+        on_bone = field.contacts(transform(inverse(T_tracker_bone), positions))
         shown = evenly_spread(np.arange(len(positions)), MAX_POINTS)
         vertices, faces = self._drawn_surface(field)
         error = error_bound(T_tracker_bone, covariance, vertices)

@@ -121,12 +121,12 @@ def distinguishing_touch(poses: Sequence[Array], field: Field, reachable: Array,
         100 mm away.
 
     """
-    patches = _patches(field)
+    patches, bone = _patches(field), field.for_tip(0.0)     # the places are on the bone itself
     T_tracker_bone = rigid.inverse(poses[0])
     for within in (reach, EXTENDED_REACH):
         near = _within(patches, field, reachable, within)
         places = patches.centres[near]
-        off = np.min([np.abs(field.sample(rigid.transform(T @ T_tracker_bone, places))[0])
+        off = np.min([np.abs(bone.sample(rigid.transform(T @ T_tracker_bone, places))[0])
                       for T in poses[1:]], axis=0)
         if off.max(initial=0.0) > DISTINCT:
             break

@@ -49,9 +49,9 @@ def register(points: ArrayLike,
     Parameters
     ----------
     points : (n, 3) float, metres, tracker frame
-        Positions of the probe tip, in any order.
+        Positions of the probe tip, the centre of its ball, in any order.
     field : Field
-        Of the bone.
+        Of the bone; with ``probe.tip_radius``, that for the ball tip is made from it.
     config : Config
     landmarks : Landmarks, or (model (k, 3) in the bone frame, touched (k, 3) in the tracker frame),
         metres, optional
@@ -75,7 +75,7 @@ def register(points: ArrayLike,
 
     """
     started = perf_counter()
-    received = 0
+    received, field = 0, field.for_tip(config.probe.tip_radius)
     try:
         points = as_numbers(points, 'points')
         received = len(points) if points.ndim else 0

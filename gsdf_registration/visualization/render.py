@@ -30,7 +30,7 @@ class Scene:
     """
     The contents of a picture.
 
-    field : of the bone
+    field : of the bone, for the tip of the probe
     limits : scales of the colours
     T_tracker_bone, covariance : (4, 4), (6, 6) float, of the pose; without it no points are drawn
     positions : (n, 3) float, m, tracker frame
@@ -49,10 +49,10 @@ class Scene:
 
     @property
     def points(self) -> Array:
-        """The points (n, 3), m, bone frame; none without a pose."""
+        """Where the tip touches the bone (n, 3), m, bone frame; none without a pose."""
         if self.T_tracker_bone is None:
             return np.zeros((0, 3))
-        return transform(inverse(self.T_tracker_bone), self.positions)
+        return self.field.contacts(transform(inverse(self.T_tracker_bone), self.positions))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +82,9 @@ def render(scene: Scene, camera: Camera) -> View:
     """Return the view of a scene by a camera."""
     rows, columns = camera.shape
     image, height = np.ones((rows * columns, 3)), np.full(rows * columns, -np.inf)
-    visible, places = cast(scene.field, camera)
-    brightness, normals = light(scene.field, places, camera)
+    bone = scene.field.for_tip(0.0)
+    visible, places = cast(bone, camera)
+    brightness, normals = light(bone, places, camera)
     colour = _bone_colours(scene, places, visible, camera)
     _blend_patches(colour, places, normals, scene.next_touches)
     image[visible] = colour * brightness[:, None]

@@ -32,12 +32,13 @@ def bone_scene(result: RegistrationResult, field: Field, points: Array) -> go.Fi
     result : RegistrationResult
         With a pose.
     field : Field
+        For the tip of the probe; points are drawn where the tip touches the bone.
     points : (n, 3) float, m, tracker frame
         In the order of the residuals.
 
     """
     assert result.T_bone_tracker is not None
-    on_bone = transform(result.T_bone_tracker, points)
+    on_bone = field.contacts(transform(result.T_bone_tracker, points))
     traces = [_bone(field), *_points(result, on_bone)]
     if result.weakest_direction is not None:
         traces.append(_axis(result.weakest_direction, field))
