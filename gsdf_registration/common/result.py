@@ -211,6 +211,7 @@ class RegistrationResult:
     residual_rms_m: float | None = None
     predicted_tre_m: dict[str, float] = field(default_factory=dict)     # targets, rms, max
     weakest_direction: WeakestDirection | None = None
+    landmarks: tuple[LandmarkFit, ...] = ()     # those with a standard deviation
     zone: Zone | None = None
     # cost of the best alternative pose divided by the cost of this pose
     runner_up_ratio: float | None = None

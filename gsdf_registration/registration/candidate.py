@@ -97,7 +97,7 @@ class Candidate:
             residual_rms_m=(rigid.rms(self.selected.residuals[self.inlier])
                             if self.inliers else None),
             predicted_tre_m=self.predicted_tre_m, zone=self.zone,
-            weakest_direction=self.weakest_direction,
+            weakest_direction=self.weakest_direction, landmarks=self.selected.landmarks,
             runner_up_ratio=self.selected.runner_up_ratio, iterations=self.solution.iterations,
             timing_s=self.timing_s, residuals_m=residuals, weights=weights,
             history=self.solution.history)
