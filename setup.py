@@ -84,6 +84,10 @@ setup(
             'ros-jazzy-python-cmake-module==0.11.1',
         ],
         'report': ['matplotlib>=3.7', 'plotly>=5'],
+        # OpenIGTLink: PLUS, Slicer
+        'igtl': ['pyigtl>=0.3'],
+        # segmentations (NIfTI, NRRD, DICOM), models in VTK files, transforms in HDF5
+        'ct': ['SimpleITK>=2.3', 'highdicom>=0.22', 'scikit-image>=0.22', 'vtk>=9.3'],
         'bench': ['libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich', 'small_gicp>=1.0'],
         'test': [
             'pytest>=8',
@@ -94,6 +98,9 @@ setup(
             'mypy==2.4.1',
             'types-PyYAML',
             'scikit-image',
+            'SimpleITK>=2.3',
+            'highdicom>=0.22',
+            'pyigtl>=0.3',
             'matplotlib>=3.7',
             'plotly>=5',
             'colcon-common-extensions==0.3.0',

@@ -190,7 +190,8 @@ def _point_list(path: str | os.PathLike[str], markup: Any, axes: str) -> PointLi
 
 def _read_fcsv(path: str | os.PathLike[str], axes: str) -> PointList:
     source, columns = 'ras', FCSV_COLUMNS.split(',')    # before version 4.6, RAS was not stated
-    labels, positions = [], []
+    labels: list[str] = []
+    positions = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if line.startswith('#'):
             key, _, value = line.lstrip('# ').partition('=')

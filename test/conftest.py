@@ -28,8 +28,11 @@ SOURCES = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md'
 # while it is imported: with the pytest plugin of launch_testing that ends the collection.
 NEEDS = {
     'cli/test_report_option.py': 'plotly', 'cli/test_show.py': 'matplotlib',
+    'msg_adapters/test_igtl.py': 'pyigtl',
     'msg_adapters/test_markers.py': 'visualization_msgs',
-    'msg_adapters/test_ros.py': 'geometry_msgs', 'node': 'rclpy', 'ros': 'rclpy',
+    'msg_adapters/test_ros.py': 'geometry_msgs',
+    'msg_adapters/test_slicer_transform.py': 'SimpleITK', 'node': 'rclpy', 'ros': 'rclpy',
+    'ros/test_igtl_bridge.py': 'pyigtl',
     'visualization/test_picture.py': 'matplotlib', 'visualization/test_report.py': 'plotly'}
 
 
@@ -55,12 +58,12 @@ class SkippedTests(pytest.Item):
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.File | None:
     """Replace a module that needs a package which is not installed."""
     name = module_path.relative_to(Path(__file__).parent).as_posix()
-    package = NEEDS.get(name) or NEEDS.get(name.partition('/')[0])
-    if package is None or importlib.util.find_spec(package) is not None:
-        return None
-    skipped: SkippedModule = SkippedModule.from_parent(parent, path=module_path)
-    skipped.package = package
-    return skipped
+    for package in filter(None, (NEEDS.get(name), NEEDS.get(name.partition('/')[0]))):
+        if importlib.util.find_spec(package) is None:
+            skipped: SkippedModule = SkippedModule.from_parent(parent, path=module_path)
+            skipped.package = package
+            return skipped
+    return None
 
 
 @pytest.fixture(scope='session')
