@@ -18,6 +18,7 @@ from benchmarks.protocol import hard_cases
 from benchmarks.protocol.cases import KIND, Case, between_scans, bone, region_patch, surface
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
+from gsdf_registration.simulation.ball_tip import with_ball_tip
 from gsdf_registration.simulation.interference import NONE, Interference
 from gsdf_registration.simulation.patch import Patch
 from gsdf_registration.simulation.probe import (
@@ -42,12 +43,14 @@ class Scenario:
 
     sigma : noise per axis of the tracker, m
     hard : the hard case, a word of `POSSIBLE` or `IMPOSSIBLE`; empty: none
+    tip_radius : of a ball tip, m, which rolls along the strokes of `clean`; 0: a sharp tip
     """
 
     name: str
     interference: Interference = NONE
     sigma: float | tuple[float, float, float] = SIGMA
     hard: str = ''
+    tip_radius: float = 0.0
 
     @property
     def wrong(self) -> bool:
@@ -74,6 +77,7 @@ SCENARIOS = {scenario.name: scenario for scenario in (
                                       other_object=0.1)),
     Scenario('anisotropic', sigma=(3e-4, 5e-4, 7e-4)),
     *(Scenario(f'sigma_{sigma:g}', sigma=sigma * 1e-3) for sigma in (0.15, 0.7, 0.9, 1.2)),
+    *(Scenario(f'ball_{radius:g}', tip_radius=radius * 1e-3) for radius in (0.5, 1.0, 1.5)),
     *(Scenario(word, hard=word) for word in POSSIBLE + IMPOSSIBLE))}
 
 
@@ -99,7 +103,8 @@ class Trial:
 
     def random(self) -> np.random.Generator:
         """Return the random generator of the trial, the same on any machine."""
-        words = (zlib.crc32(word.encode()) for word in (self.case.name, self.scenario.name))
+        scenario = 'clean' if self.scenario.tip_radius else self.scenario.name
+        words = (zlib.crc32(word.encode()) for word in (self.case.name, scenario))
         return np.random.default_rng(np.random.SeedSequence([self.seed, *words]))
 
 
@@ -108,7 +113,7 @@ class Problem:
     """
     The data of a trial.
 
-    field : of the model to be registered
+    field : of the model to be registered, for the tip of the scenario
     recording : the points, ``recording.positions`` (n, 3) m, tracker frame, and their ground truth
     patch : the exposed area
     """
@@ -172,7 +177,10 @@ def make(trial: Trial) -> Problem:
                               interference=trial.scenario.interference, T_tracker_bone=T)
     if word == 'model_off':
         recording = hard_cases.with_model_error(recording, field, rng)
-    return Problem(trial, field, recording, patch)
+    radius = trial.scenario.tip_radius
+    if radius > 0.0:
+        recording = with_ball_tip(recording, *surface(trial.case.bone), patch.approach, radius)
+    return Problem(trial, field.for_tip(radius), recording, patch)
 
 
 def _models(case: Case, scenario: Scenario, cases: Sequence[Case]) -> list[str]:
