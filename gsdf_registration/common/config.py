@@ -30,9 +30,10 @@ NAMES = {'model.frame_id': 'bone', 'reference.frame_id': 'reference_array',
 
 
 # Settings that refer to places on one bone
-PLACES = ('landmarks.names', 'landmarks.positions', 'targets.names', 'targets.positions',
-          'guidance.near')
+PLACES = ('landmarks.names', 'landmarks.positions', 'landmarks.sigmas', 'targets.names',
+          'targets.positions', 'guidance.near')
 
+MAX_SIGMA = 0.1     # m, of a landmark: one that is less accurate says hardly anything
 MIN_RATE = 0.01     # Hz; the period of a timer cannot be arbitrarily long
 MAX_TIP = 2.0       # m; the longest tools measure half a metre
 
@@ -108,6 +109,8 @@ class CollectConfig:
     """The collection of points."""
 
     automatic: bool = setting(True, 'start to collect on activation, without a call of ~/collect')
+    mode: str = setting('both', 'what counts: strokes of the moving tip, touches (places where it '
+                        'rests), or both', choices=('strokes', 'touches', 'both'))
     max_points: int = setting(200_000, 'maximum number of collected points; further points are '
                               'rejected', '', 100, 10_000_000)
     air: bool = setting(True, 'also use where the probe was in the air, as no bone is there; set it '
@@ -141,17 +144,24 @@ class LiveConfig:
 
 @dataclass(frozen=True)
 class LandmarksConfig:
-    """Named points of the model that are touched for an initial guess."""
+    """Named points of the model that are touched: for an initial guess, or as measurements."""
 
     names: list[str] = setting([], 'landmarks in the order in which they are touched')
     positions: list[float] = setting([], 'positions of the landmarks, x y z each, bone frame', 'm',
                                     items=float)
+    sigmas: list[float] = setting(
+        [], 'standard deviation of each landmark along each axis, if it is also a measurement of '
+        'the pose; 0: only for an initial guess; empty: all 0', 'm', items=float)
     dwell: float = setting(0.5, 'time for which the tip must be stationary at a landmark', 's',
                            0.05, 10.0)
     radius: float = setting(0.002, 'a tip that stays within this radius is stationary', 'm', 1e-4,
                             0.02)
     joint_centre: str = setting('hip_centre', 'landmark that ~/find_joint_centre finds; it is not '
                                 'touched')
+
+    def sigma_of(self, name: str) -> float:
+        """Return the standard deviation of a landmark along each axis, m; 0: none is set."""
+        return self.sigmas[self.names.index(name)] if self.sigmas else 0.0
 
 
 @dataclass(frozen=True)
@@ -290,14 +300,18 @@ class Config:
             As `from_flat` and `parameters_of_file`.
 
         """
+        return cls().merged(values)
+
+    def merged(self, values: Mapping[str, Any]) -> Config:
+        """Return a copy with the settings of nested mappings, see `from_nested`."""
         known = dict(settings())
         given = parameters_of_file(values, known)
         if given is None:
-            return cls.from_flat(dict(flatten(values)))
+            return self.replaced(dict(flatten(values)))
         foreign = {name for name in given if is_foreign(name, known)}
         if foreign:
             logging.getLogger(__name__).warning(foreign_sentence(foreign))
-        return cls.from_flat({name: value for name, value in given.items() if name not in foreign})
+        return self.replaced({name: value for name, value in given.items() if name not in foreign})
 
     def replaced(self, values: Mapping[str, Any]) -> Config:
         """Return a copy with the dotted names in ``values`` changed; raises as `from_flat`."""
@@ -336,6 +350,7 @@ class Config:
                     'the other')
             if len(set(points.names)) < len(points.names):
                 raise InputError(f'{names} has a duplicate name; use unique names')
+        self._check_sigmas()
         if self.limits.require == 'targets' and not self.targets.names:
             missing = 'limits.require is "targets", but there are none'
             raise UnmatchedPlaces(f'{missing}; set targets.names and targets.positions',
@@ -349,6 +364,20 @@ class Config:
                     f'{unknown}; add it to landmarks.names or targets.names',
                     ('guidance.near', 'landmarks.names', 'targets.names'),
                     f'{unknown}; waiting for landmarks.names or targets.names')
+
+    def _check_sigmas(self) -> None:
+        """Check the standard deviations of the landmarks."""
+        names, sigmas = self.landmarks.names, self.landmarks.sigmas
+        if sigmas and len(sigmas) != len(names):
+            counts = (f'landmarks.names has {format_count(len(names), "entry", "entries")}, '
+                      f'landmarks.sigmas has {format_count(len(sigmas), "number")}')
+            raise UnmatchedPlaces(
+                f'landmarks.sigmas must be empty or have a number for each of landmarks.names: '
+                f'{len(names)} numbers, not {len(sigmas)}',
+                ('landmarks.names', 'landmarks.sigmas'), f'{counts}; waiting for the other')
+        if not all(0.0 <= sigma <= MAX_SIGMA for sigma in sigmas):
+            raise InputError(f'landmarks.sigmas must be from 0 (only for an initial guess) to '
+                             f'{MAX_SIGMA:g} m, not {sigmas}; they are in metres')
 
     def _check_probe(self) -> None:
         """Check the vectors in the frame of the tool."""

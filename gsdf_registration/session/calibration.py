@@ -140,7 +140,7 @@ def joint_landmark(found: FixedPoint, stamp: float, config: Config) -> CapturedL
     Return a joint centre as a landmark; ``stamp``, s: of the last pose.
 
     Its standard deviation is that of the data, and the largest effect of an error that varies with
-    the orientation, see `Task.systematic`.
+    the orientation, see `Task.systematic`. It is at least that of ``landmarks.sigmas``.
     """
     assert found.point is not None and found.covariance is not None
     name = config.landmarks.joint_centre
@@ -148,7 +148,8 @@ def joint_landmark(found: FixedPoint, stamp: float, config: Config) -> CapturedL
     variance = float(np.trace(found.covariance[:3, :3])) / 3.0
     variance += JOINT.systematic**2 / max(found.constraint or 0.0, 1e-12)
     return CapturedLandmark(name, np.array(config.landmarks.positions[row:row + 3]), found.point,
-                            found.residual_rms or 0.0, stamp, sigma_m=math.sqrt(variance))
+                            found.residual_rms or 0.0, stamp,
+                            sigma_m=max(math.sqrt(variance), config.landmarks.sigma_of(name)))
 
 
 def _millimetres(vector: Array, digits: int) -> str:

@@ -45,7 +45,7 @@ class CapturedLandmark:
     spread_m: float     # root mean square of the samples about their mean
     stamp: float        # s
     tool: ToolPose | None = None    # mean pose of the tool, session frame; None: not received
-    sigma_m: float = 0.0    # per axis, of a joint centre; 0: ``landmarks.sigmas`` applies
+    sigma_m: float = 0.0    # standard deviation per axis; 0: only for an initial guess
 
 
 class LandmarkCapture:
@@ -57,6 +57,12 @@ class LandmarkCapture:
     def add_joint_centre(self, found: CapturedLandmark) -> None:
         """Add the centre of a joint, or replace the one found before."""
         self.captured = [each for each in self.captured if each.name != found.name] + [found]
+
+    def apply_sigmas(self, config: LandmarksConfig) -> None:
+        """Use the standard deviations of these settings; that of a joint centre was measured."""
+        self.captured = [
+            each if each.name == config.joint_centre or each.name not in config.names else
+            replace(each, sigma_m=config.sigma_of(each.name)) for each in self.captured]
 
     def apply_tip(self, tip: Sequence[float]) -> None:
         """Compute the touched positions anew from the tool poses, see `tip_position`."""
@@ -91,7 +97,7 @@ class LandmarkCapture:
         return Landmarks(tuple(each.name for each in self.captured),
                          np.reshape([each.model for each in self.captured], (-1, 3)),
                          np.reshape([each.tracker for each in self.captured], (-1, 3)),
-                         np.zeros(len(self.captured)))
+                         np.array([each.sigma_m for each in self.captured], dtype=np.float64))
 
     @property
     def usable(self) -> Landmarks:
@@ -126,7 +132,8 @@ class LandmarkCapture:
         row = 3 * config.names.index(name)
         model = np.array(config.positions[row:row + 3])
         self.captured.append(
-            CapturedLandmark(name, model, tip.position, tip.spread_rms, tip.stamp, tip.tool))
+            CapturedLandmark(name, model, tip.position, tip.spread_rms, tip.stamp, tip.tool,
+                             config.sigma_of(name)))
         following = f'next is "{remaining[1]}"' if len(remaining) > 1 else 'this was the last one'
         captured = self.landmarks
         warning = TIP_UNKNOWN if tip_missing else disagreement(captured.names, captured.model,

@@ -40,7 +40,8 @@ def result_from_dict(values: Mapping[str, Any] | None) -> RegistrationResult | N
     """
     if values is None:
         return None
-    result = _from_dict(RegistrationResult, values, PER_POINT)
+    # files of earlier versions have no landmarks in their results
+    result = _from_dict(RegistrationResult, {'landmarks': [], **values}, PER_POINT)
     if result.success and (result.T_tracker_bone is None or not is_rigid(result.T_tracker_bone)):
         raise ValueError('the registration has no valid pose')
     return result
@@ -60,6 +61,20 @@ def number(value: Any) -> float:
     if not math.isfinite(value):
         raise ValueError(f'{value!r} is not finite')
     return float(value)
+
+
+def flag(value: Any) -> bool:
+    """Return true or false; raise TypeError if it is neither."""
+    if not isinstance(value, bool):
+        raise TypeError(f'{value!r} is not true or false')
+    return value
+
+
+def items(value: Any) -> list[Any]:
+    """Return a list; raise TypeError if it is none."""
+    if not isinstance(value, list):
+        raise TypeError(f'{value!r} is no list')
+    return value
 
 
 def count(value: Any) -> int:
@@ -95,6 +110,8 @@ def _value(value: Any, hint: Any, shape: tuple[int, ...]) -> Any:
         (hint,) = (each for each in get_args(hint) if each is not NoneType)
     if hint is float:
         return math.inf if value is None else number(value)     # see `plain`
+    if hint is bool:
+        return flag(value)
     if hint is int:
         return count(value)
     if hint is str:
@@ -105,6 +122,8 @@ def _value(value: Any, hint: Any, shape: tuple[int, ...]) -> Any:
         return array(value, shape)
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return _from_dict(hint, value)
+    if get_origin(hint) is tuple:
+        return tuple(_value(item, get_args(hint)[0], shape) for item in items(value))
     if get_origin(hint) is dict:
         return {text(key): None if item is None else _value(item, get_args(hint)[1], shape)
                 for key, item in value.items()}

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import dataclasses
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.registration.stroke_report import StrokeReport, interference_message
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
+from gsdf_registration.session.air import Air, positions
 from gsdf_registration.session.collection import Collection, Stroke
 from gsdf_registration.session.events import Listener
 from gsdf_registration.session.landmark_capture import Answer, CapturedLandmark, LandmarkCapture
@@ -51,7 +53,7 @@ class SessionState:
         self.field = None if field is None else field.for_tip(config.probe.tip_radius)
         self.collection = Collection(config.points_frame)
         self.collection.collecting = config.collect.automatic
-        self.tip = StationaryTipDetector()
+        self.tip, self.air = StationaryTipDetector(), Air()
         self.landmarks = LandmarkCapture()
         self.verifications: list[Verification] = []
         self.accepted: AcceptedRegistration | None = None
@@ -84,6 +86,8 @@ class SessionState:
         listener('collecting', self.collection.collecting)
         if self.config.probe.tip:
             listener('tip', self.config.probe.tip)
+        if self.config.probe.tip_radius:
+            listener('tip_radius', self.config.probe.tip_radius)
         for topic in self._source_of:
             listener('source', topic)
         self._reported_frame = None
@@ -116,6 +120,9 @@ class SessionState:
                                    *sample.position, *(sample.tool or ())])
         else:
             self._report('rejected', {rejection.value: 1})
+        lifted = self.collection.is_lifted(source)
+        for row in self.air.add(sample, source, rejection, lifted, self.config.gate):
+            self._report('air', list(row))
         if rejection is None or not rejection.invalidates_sample:
             self.tip.add(sample, source, self.config.landmarks)
         return rejection
@@ -168,7 +175,7 @@ class SessionState:
             self._drop_pose(Withdrawal.CLOCK_JUMPED, f'{reason}: collect and register again')
         self.collection.clear(self.config.points_frame)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
-        self.verifications = []
+        self.air, self.verifications = Air(), []
         self.tools_received = False
         self._reported_frame = None
         self.refusal = None
@@ -324,6 +331,8 @@ class SessionState:
                                  'probe.frame_id')
             self.collection.expect_frame(config.points_frame)
         before, self.config = self.config, config
+        if config.landmarks.sigmas != before.landmarks.sigmas:
+            self.landmarks.apply_sigmas(config.landmarks)
         if config.probe.tip != before.probe.tip:
             self._apply_tip(config.probe.tip)
         if config.probe.tip_radius != before.probe.tip_radius:
@@ -333,8 +342,10 @@ class SessionState:
         """Use another radius of the ball tip; the points, which are its centres, stay."""
         if self.field is not None:
             self.field = self.field.for_tip(radius)
+        self.revision += 1      # whatever was computed from the points is outdated
         self.withdraw_pose(Withdrawal.TIP_CHANGED, 'the pose is withdrawn because probe.tip_radius '
                            'was changed: register again')
+        self._report('tip_radius', radius)
 
     def _apply_tip(self, tip: list[float]) -> None:
         """Move everything that was touched with a tool to this tip, (3,) m or empty."""
@@ -342,6 +353,7 @@ class SessionState:
             self.collection.apply_tip(tip)
             self.revision += 1
         self.landmarks.apply_tip(tip)
+        self.air.apply_tip(tip)
         self.tip = StationaryTipDetector()
         self.verifications = with_tip(self.verifications, tip)
         accepted = self.accepted
@@ -349,6 +361,14 @@ class SessionState:
             self.withdraw_pose(Withdrawal.TIP_CHANGED, 'the pose is withdrawn because the tip of '
                                'the probe was calibrated or set anew: register again')
         self._report('tip', tip)
+
+    def air_positions(self) -> Callable[[], Array]:
+        """Return a function that computes `air.positions`, with copies, as that takes a while."""
+        config = self.config
+        if not config.collect.air:
+            return lambda: np.empty((0, 3))
+        return partial(positions, list(self.air.rows), self.collection.points(), config.probe.tip,
+                       config.probe.shaft)
 
     @property
     def tip_missing(self) -> bool:
@@ -398,7 +418,8 @@ class SessionState:
             dict(self.collection.counts), list(self.landmarks.captured),
             list(self.verifications), self.result,
             None if accepted is None else accepted.result,
-            '' if accepted is None else accepted.frame_id, self.config.probe.tip)
+            '' if accepted is None else accepted.frame_id, self.config.probe.tip,
+            list(self.air.rows), self.config.probe.tip_radius)
 
     def restore(self, saved: SessionRecord) -> None:
         """
@@ -411,6 +432,7 @@ class SessionState:
         self.collection.restore(saved.points, saved.frame_id, saved.rejected, self.config)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
         self.landmarks.captured = saved.landmarks
+        self.air.restore(saved.air)
         self.verifications = saved.verifications
         self._source_of = {name: number for number, name in enumerate(saved.source_names)}
         self._reported_frame = None
@@ -431,6 +453,10 @@ class SessionState:
         self.config = config
         if config.probe.tip != saved.tip:
             self._apply_tip(config.probe.tip)
+        if config.probe.tip_radius != saved.tip_radius:
+            self.withdraw_pose(Withdrawal.TIP_CHANGED, 'the pose is withdrawn because it was found '
+                               f'with probe.tip_radius {saved.tip_radius:g} m, which is now '
+                               f'{config.probe.tip_radius:g} m: register again')
         self.revision += 1
         self._report('session', self.record().to_dict(self.config))
 

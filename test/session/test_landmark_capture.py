@@ -86,7 +86,7 @@ def test_fewer_than_three_landmarks_give_no_start_pose(field: Field,
     hold(session, np.zeros(3), 0.0)
     session.capture_landmark()
     session.register()
-    assert seen == [None]
+    assert [len(landmarks) for landmarks in seen] == [0]
 
 
 def test_reports_landmarks_touched_in_another_order(field: Field) -> None:
@@ -207,3 +207,18 @@ def test_a_new_registration_measures_the_verification_points_again(
     total = session.status().verification
     assert total is not None and total.worst_m == pytest.approx(0.003, abs=2e-4)
     assert not total.good
+
+
+def test_a_landmark_is_a_measurement_only_with_a_standard_deviation(field: Field) -> None:
+    config = CONFIG.replaced({'landmarks.sigmas': [0.0, 0.003, 0.0]})
+    session = Session(config, field)
+    for number in range(2):
+        hold(session, np.array([0.1 * number, 0.0, 0.0]), 10.0 * number)
+        assert session.capture_landmark().success
+    usable = session.landmarks()
+    assert usable.names == ('y',) and usable.sigmas.tolist() == [0.003]
+    session.configure(config.replaced({'landmarks.sigmas': [0.001, 0.002, 0.0]}))
+    assert session.landmarks().sigmas.tolist() == [0.001, 0.002]
+    other = Session(CONFIG, field)
+    other.restore(session.to_dict())
+    assert other.landmarks().sigmas.tolist() == [0.001, 0.002]
