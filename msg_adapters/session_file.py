@@ -13,6 +13,7 @@ Schema "gsdf-session/3"; SI units, frames by name; null means unknown:
   checkpoint and how far it has moved since it was first touched;
 - ``result``: the last registration; ``pose_result``: the accepted registration;
 - ``parameters``: the settings by dotted name;
+- ``air``: positions of the tip in the air, followed by the pose of the tool if it is known;
 - ``columns``: names of the numbers of a point: stroke, number of its source (from 0), stamp,
   position, and its residual and weight in the accepted registration;
 - ``points``: one per line;

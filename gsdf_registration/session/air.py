@@ -36,6 +36,7 @@ SHAFT = np.arange(0.005, 0.1, 0.01)     # m behind the tip: up to there a probe 
 MAX_POSES = 2000        # poses of collected points whose shaft counts, evenly chosen
 
 Row = tuple[float, ...]     # x y z of the tip, m, followed by the pose of the tool if it is known
+ROW_SIZES = (3, 10)
 
 
 class Air:
@@ -86,10 +87,10 @@ class Air:
                 kept.append(row)
         return kept
 
-    def restore(self, rows: Iterable[Row]) -> None:
+    def restore(self, rows: Iterable[Sequence[float]]) -> None:
         """Keep the rows of a saved session instead."""
         self._cells, self._paths, self.rows = set(), {}, []
-        self._keep(rows)
+        self._keep(tuple(row) for row in rows)
 
     def apply_tip(self, tip: Sequence[float]) -> None:
         """Compute the positions anew from the poses of the tool, see `with_tip`."""
@@ -132,10 +133,10 @@ class _Path:
         return []
 
 
-def with_tip(rows: Iterable[Row], tip: Sequence[float]) -> list[Row]:
+def with_tip(rows: Iterable[Sequence[float]], tip: Sequence[float]) -> list[Row]:
     """Return the rows with the positions for another ``tip``, (3,) m or empty, of the tool."""
     moved: list[Row] = []
-    for row in rows:
+    for row in map(tuple, rows):
         pose = np.array([row[3:]]).reshape(-1, 7)
         moved.append((*tip_positions(pose, tip)[0].tolist(), *row[3:]) if len(pose) else row)
     return moved

@@ -18,6 +18,7 @@ frame         name of the frame of the points
 source        topic of a new source; the first has number 0
 point         [stroke, source, stamp, x, y, z] of an added point, s and m, followed by the pose of
               the tool, if there is one: x, y, z, qx, qy, qz, qw
+air           [x, y, z] of the tip in the air, m, followed by the pose of the tool, if there is one
 rejected      {cause: number} of rejected samples
 undo          number of the stroke dropped, the last one or any other
 withdrawn     [source, stamp]: the points of this source from this stamp on are dropped
@@ -28,6 +29,7 @@ registration  {result, pose_frame_id, verifications: measured again, fit: rows o
 no_pose       why the accepted registration is withdrawn; the points stay
 tip           [x, y, z] of the tip in the frame of the tool, or []: what was touched with a tool is
               at another place, see `tool_pose`
+tip_radius    radius of the ball at the end of the probe, m
 ============  ======================================================================================
 """
 
@@ -40,6 +42,7 @@ import numpy as np
 
 from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.tool_pose import tip_positions
+from gsdf_registration.session import air
 from gsdf_registration.session.landmark_capture import LandmarkCapture
 from gsdf_registration.session.record import (
     COLUMNS,
@@ -92,6 +95,8 @@ class Replay:
         session, points = self._session, self._points
         if event == 'point':
             self._append_point(value)
+        elif event == 'air':
+            session['air'].append(value)
         elif event == 'rejected':
             for cause, count in value.items():
                 session['rejected'][cause] = session['rejected'].get(cause, 0) + count
@@ -113,6 +118,8 @@ class Replay:
             session['verifications'].append(value)
         elif event == 'tip':
             self._apply_tip(value)
+        elif event == 'tip_radius':
+            session['parameters'] = {**session['parameters'], 'probe.tip_radius': value}
         elif event == 'registration':
             self._register(value)
         elif event == 'no_pose':
@@ -171,6 +178,7 @@ class Replay:
         rows = np.flatnonzero(~np.isnan(tools[:, 0]))
         for name, values in zip(COLUMNS['positions'], tip_positions(tools[rows], tip).T):
             points[name][rows] = values
+        session['air'] = [list(row) for row in air.with_tip(session['air'], tip)]
         landmarks = LandmarkCapture()
         landmarks.captured = [landmark_from(item) for item in session['landmarks']]
         landmarks.apply_tip(tip)

@@ -25,6 +25,7 @@ from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import MAX_COORDINATE, Array
 from gsdf_registration.common.samples import Points
 from gsdf_registration.common.tool_pose import NOT_UNIT, ToolPose, is_valid
+from gsdf_registration.session.air import ROW_SIZES, Row
 from gsdf_registration.session.landmark_capture import CapturedLandmark
 from gsdf_registration.session.result_record import (
     array,
@@ -67,6 +68,8 @@ class SessionRecord:
     pose_result: RegistrationResult | None
     pose_frame_id: str
     tip: list[float]                    # ``probe.tip`` that the positions were computed with
+    air: list[Row]                      # where the probe was in the air
+    tip_radius: float = 0.0             # m, ``probe.tip_radius`` that the pose was found with
 
     def to_dict(self, config: Config) -> dict[str, Any]:
         """Return the record with settings and versions: plain values, and the rows of points."""
@@ -79,6 +82,7 @@ class SessionRecord:
             'rejected': self.rejected, 'landmarks': plain(self.landmarks),
             'verifications': plain(self.verifications), 'result': result_to_dict(self.result),
             'pose_result': result_to_dict(self.pose_result), 'parameters': config.flat(),
+            'air': [list(row) for row in self.air],
             'points': _rows(self.points, self.residuals, self.weights)}
 
     @classmethod
@@ -112,6 +116,8 @@ class SessionRecord:
                 landmarks=[landmark_from(item) for item in record['landmarks']],
                 verifications=[verification_from(item) for item in record['verifications']],
                 tip=_tip(record['parameters'].get('probe.tip', [])),
+                air=[_air_row(row) for row in record.get('air', [])],
+                tip_radius=number(record['parameters'].get('probe.tip_radius', 0.0)),
                 result=result_from_dict(record['result']), pose_result=accepted,
                 pose_frame_id=text(record['frames']['pose']))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -123,7 +129,7 @@ def empty_record(model_sha256: str | None) -> dict[str, Any]:
     return {'versions': {}, 'model_sha256': model_sha256,
             'frames': {'points': None, 'pose': '', 'bone': ''}, 'collecting': False,
             'sources': [], 'rejected': {}, 'landmarks': [], 'verifications': [], 'result': None,
-            'pose_result': None, 'parameters': {}, 'points': np.empty(0, ROW)}
+            'pose_result': None, 'parameters': {}, 'air': [], 'points': np.empty(0, ROW)}
 
 
 def column(rows: np.ndarray, name: str) -> np.ndarray:
@@ -197,6 +203,16 @@ def verification_from(item: Mapping[str, Any]) -> Verification:
     return Verification(array(item['position']), number(item['distance_m']), number(item['stamp']),
                         count(item['checkpoint']), None if moved is None else number(moved),
                         _tool(item))
+
+
+def _air_row(values: Any) -> Row:
+    """Return a row of `Air`; raise TypeError or ValueError if it is damaged."""
+    row = tuple(array(values, (len(values),)).tolist())
+    if len(row) not in ROW_SIZES or not all(abs(value) < MAX_COORDINATE for value in row[:3]):
+        raise ValueError(f'{values} is no position in the air')
+    if len(row) > 3:
+        _tool({'tool': row[3:]})
+    return row
 
 
 def _tool(item: Mapping[str, Any]) -> ToolPose | None:

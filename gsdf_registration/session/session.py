@@ -249,6 +249,7 @@ class Session:
                 landmarks = state.landmarks.usable
             if T_tracker_bone is None:
                 T_tracker_bone = state.guess
+            air = state.air_positions()
             unused = state.unused_initial_pose
             self._solving = True
         try:
@@ -256,6 +257,7 @@ class Session:
                               field,
                               config,
                               landmarks=landmarks,
+                              air=air(),
                               T_tracker_bone=T_tracker_bone,
                               progress=progress,
                               cancelled=lambda: self._generation != generation or
@@ -382,6 +384,12 @@ class Session:
         """Return the captured landmarks that say something about the pose."""
         with self._lock:
             return self._state.landmarks.usable
+
+    def air(self) -> Array:
+        """Return where tip and shaft were in the air (n, 3), m, unless it is not to be used."""
+        with self._lock:
+            positions = self._state.air_positions()
+        return positions()      # outside the lock
 
     def status(self) -> Status:
         """Return a snapshot for the operator."""
