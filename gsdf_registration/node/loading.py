@@ -16,6 +16,7 @@ from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.field import Field
 from gsdf_registration.field.model import find_model, load_model
+from gsdf_registration.node.memory import release_compiler
 from gsdf_registration.registration.kernels import compile_kernels, load_kernels
 
 
@@ -43,6 +44,7 @@ def load(config: Config, log: RcutilsLogger,
         show(f'loading {path}; wait a moment')
         field = _load(config)
         load_kernels()
+        release_compiler()
     log.info(f'{path} is loaded')
     return field
 
