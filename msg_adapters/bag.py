@@ -14,13 +14,11 @@ from rosbags.typesys import Stores, get_typestore
 from gsdf_registration.common.result import InputError
 from msg_adapters import stamps
 from msg_adapters.bag_storage import BagFiles, Raw, Topic
-from msg_adapters.motion import INVALID_TRANSFORM, to_matrix
+from msg_adapters.motion import INVALID_TRANSFORM, TOOL_POSES, to_matrix, tool_pose
 from msg_adapters.recording import RecordedTransform, Recording
 
 POINT = 'geometry_msgs/msg/PointStamped'
 POSE = 'geometry_msgs/msg/PoseStamped'
-TOOL_POSES = (POSE, 'geometry_msgs/msg/PoseWithCovarianceStamped',
-              'geometry_msgs/msg/TransformStamped')
 TF = 'tf2_msgs/msg/TFMessage'
 FRAMES = {'/tf': False, '/tf_static': True}     # whether a transform is valid for all times
 TIP_TOPIC = '/probe/tip'
@@ -52,8 +50,9 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     path : path
         Directory of the bag, or one of its storage files.
     topics : sequence of str, optional
-        PointStamped topics. The default is /probe/tip, or the only PointStamped topic other than
-        /probe/landmarks.
+        PointStamped topics, or topics with poses of a tool, see `TOOL_POSES`. The default is
+        /probe/tip, or the only PointStamped topic other than /probe/landmarks, or the only topic
+        with poses other than ``reference``.
     reference : str, optional
         PoseStamped topic of the reference array, for `Recording.transforms`.
     frames : bool, optional
@@ -73,7 +72,7 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     """
     bag = BagFiles(path)
     types = {topic.name: topic.msgtype for topic in bag.topics()}
-    names = _select_topics(bag.path, types, topics)
+    names = _select_topics(bag.path, types, topics, reference)
     if reference and types.get(reference) != POSE:
         raise InputError(f'{path} has no poses of the reference array, PoseStamped on {reference} '
                          f'(reference.topic); it has {_listed(types)}')
@@ -83,36 +82,33 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     points = [raw for raw in messages if raw.topic in names]
     if not points:
         raise InputError(f'{path} has no messages on {", ".join(names)}')
-    times, frame_ids, positions = _decoded(bag.path, points)
+    times, frame_ids, positions, tools = _decoded(bag.path, points)
     return Recording(
         positions=positions, stamps=times, frame_ids=frame_ids, source_names=names,
-        sources=np.array([names.index(raw.topic) for raw in points], np.int32),
+        sources=np.array([names.index(raw.topic) for raw in points], np.int32), tools=tools,
         transforms=_transforms(bag.path, messages, names), notes=tuple(bag.notes))
 
 
-def _select_topics(path: Path, types: dict[str, str], wanted: Sequence[str] | None) -> list[str]:
+def _select_topics(path: Path, types: dict[str, str], wanted: Sequence[str] | None,
+                   reference: str) -> list[str]:
     """Return the topics to read; raise `InputError` with the available ones if there are none."""
     available = _listed(types)
     if wanted is None:
         points = [name for name, msgtype in types.items()
                   if msgtype == POINT and name != LANDMARK_TOPIC]
-        names = [TIP_TOPIC] if TIP_TOPIC in points else points
+        tools = [name for name, msgtype in types.items()
+                 if msgtype in TOOL_POSES and name != reference]
+        names = [TIP_TOPIC] if TIP_TOPIC in points + tools else points or tools
         if len(names) != 1:
             raise InputError(
-                f'{path} has {len(names) or "no"} PointStamped topics that could be the tip; '
-                f'choose one of its topics: {available}')
+                f'{path} has {len(names) or "no"} topics that could be the probe; choose one of '
+                f'its topics: {available}')
         return names
     names = list(dict.fromkeys(wanted))
-    bad = [name for name in names if types.get(name) != POINT]
-    # its origin is centimetres from its tip, and the bone would be found as far from its place
-    tools = [name for name in bad if types.get(name) in TOOL_POSES]
-    if tools:
-        raise InputError(
-            f'{path}: {", ".join(tools)} has the pose of a tool ({types[tools[0]]}), not the '
-            'position of its tip; choose a PointStamped topic')
+    bad = [name for name in names if types.get(name) not in (POINT, *TOOL_POSES)]
     if bad or not names:
-        raise InputError(f'{path} has no topic {", ".join(bad)} of type PointStamped; it has '
-                         f'{available}')
+        raise InputError(f'{path} has no topic {", ".join(bad)} with positions (PointStamped) or '
+                         f'poses of the probe; it has {available}')
     return names
 
 
@@ -120,18 +116,28 @@ def _listed(types: dict[str, str]) -> str:
     return ', '.join(f'{name} ({msgtype})' for name, msgtype in types.items()) or 'no topics'
 
 
-def _decoded(path: Path, messages: list[Raw]) -> tuple[np.ndarray, list[str], np.ndarray]:
-    """Return stamps (n,) s, frame ids and positions (n, 3) m of serialized messages."""
+def _decoded(path: Path, messages: list[Raw]
+             ) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray | None]:
+    """
+    Return stamps (n,) s, frame ids, positions (n, 3) m and poses (n, 7) of serialized messages.
+
+    A pose is NaN where a position was recorded; None if all are positions.
+    """
     times = np.zeros(len(messages))
     positions = np.zeros((len(messages), 3))
+    tools = np.full((len(messages), 7), np.nan)
     frames = []
     for i, raw in enumerate(messages):
         message = decode_message(path, i, raw)
-        position = message.point
         times[i] = stamps.to_seconds(message.header.stamp.sec, message.header.stamp.nanosec)
-        positions[i] = position.x, position.y, position.z
+        if raw.msgtype == POINT:
+            positions[i] = message.point.x, message.point.y, message.point.z
+        else:
+            tools[i] = tool_pose(message, raw.msgtype)
+            positions[i] = tools[i, :3]
         frames.append(message.header.frame_id)
-    return times, frames, positions
+    has_tools = any(raw.msgtype != POINT for raw in messages)
+    return times, frames, positions, tools if has_tools else None
 
 
 def decode_message(path: Path, i: int, raw: Raw) -> Any:

@@ -16,6 +16,10 @@ from gsdf_registration.common.tool_pose import ToolPose
 INVALID_TRANSFORM = np.full((4, 4), np.nan)
 TOLERANCE = 0.01    # of the length of a quaternion, as in tf2
 
+# columns of a table with the poses of a tool
+POSITION = ('tx', 'ty', 'tz')
+ORIENTATION = ('qx', 'qy', 'qz', 'qw')
+
 # position and orientation in the messages that carry the pose of a tool, by type
 TOOL_POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
     'geometry_msgs/msg/PoseStamped': lambda message: (message.pose.position,

@@ -59,9 +59,9 @@ class TrackedTool:
 
 
 def read_ndi(path: str | os.PathLike[str], tool: str | None = None,
-             rate: float | None = None) -> Recording:
+             rate: float | None = None, poses: bool = False) -> Recording:
     """
-    Read the positions of one tool.
+    Read the positions of one tool, or its poses.
 
     Parameters
     ----------
@@ -71,6 +71,8 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None,
         Part of the port label of the tool; not needed if the file has only one tool.
     rate : float, optional
         Frames per second of the Frame column, Hz, for files without times.
+    poses : bool, optional
+        Whether `Recording.tools` has the poses; else the positions are those of the tip.
 
     Returns
     -------
@@ -87,7 +89,13 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None,
 
     """
     tracked = read_tool(path, tool, rate)
-    return Recording(positions=tracked.positions, stamps=tracked.stamps,
+    tools = None
+    if poses:
+        if tracked.quaternions is None:
+            raise InputError(f'{path}: {tracked.label} has no orientation, so a tip (--tip, '
+                             'probe.tip) cannot be applied')
+        tools = np.hstack([tracked.positions, tracked.quaternions])
+    return Recording(positions=tracked.positions, stamps=tracked.stamps, tools=tools,
                      source_names=[tracked.label], quality=tracked.errors, dropped=tracked.dropped)
 
 

@@ -20,12 +20,14 @@ from gsdf_registration.common.rigid import Array
 from msg_adapters import ndi, slicer
 from msg_adapters.files import readable_file, unit_scale
 from msg_adapters.mesh import load_surface
+from msg_adapters.motion import ORIENTATION, POSITION
 from msg_adapters.recording import Recording
 from msg_adapters.table import Table, read_table
 
 MESHES = ('.stl', '.ply', '.obj', '.off')
 TEXTS = ('.csv', '.tsv', '.txt', '.xyz')
 XYZ = ('x', 'y', 'z')
+POSE = (*POSITION, *ORIENTATION)
 NORMAL = ('nx', 'ny', 'nz')
 
 
@@ -82,7 +84,7 @@ def read_model(path: str | os.PathLike[str],
 
 
 def read_points(path: str | os.PathLike[str], unit: str, tool: str | None = None,
-                axes: str = 'lps') -> Recording:
+                axes: str = 'lps', poses: bool = False) -> Recording:
     """
     Read touched points.
 
@@ -90,6 +92,7 @@ def read_points(path: str | os.PathLike[str], unit: str, tool: str | None = None
 
     - CSV, TXT or XYZ with a header with x, y, z in any order, and optionally t/time/stamp in
       seconds, quality/error in ``unit``, stroke and frame_id
+    - the same with tx, ty, tz, qx, qy, qz, qw instead of x, y, z: poses of a tool
     - CSV, TXT or XYZ with columns x y z and no header
     - PLY
     - NDI tracker CSV, detected by its header
@@ -105,6 +108,8 @@ def read_points(path: str | os.PathLike[str], unit: str, tool: str | None = None
         Part of the port label of the tool, for an NDI tracker CSV with several tools.
     axes : {'lps', 'ras'}
         Axes of the result, if the file states its own.
+    poses : bool, optional
+        Whether an NDI tracker CSV has the poses of a tool; else it has the positions of its tip.
 
     Returns
     -------
@@ -129,7 +134,7 @@ def read_points(path: str | os.PathLike[str], unit: str, tool: str | None = None
         return Recording(np.concatenate([each.positions for each in lists]),
                          source_names=[path.name])
     if known:
-        return ndi.read_ndi(path, tool)
+        return ndi.read_ndi(path, tool, poses=poses)
     if tool is not None:
         raise InputError(f'{path} is no NDI tracker CSV: omit --tool')
     if kind == '.ply':
@@ -147,7 +152,7 @@ def read_points(path: str | os.PathLike[str], unit: str, tool: str | None = None
 def _points_table(path: Path) -> Table:
     """Read a table with columns x, y, z, or with three or six columns and no header."""
     table = read_table(path, wanted=XYZ)
-    if table.columns and not set(XYZ) <= set(table.columns):
+    if table.columns and not any(set(names) <= set(table.columns) for names in (XYZ, POSE)):
         raise InputError(f'{path}: the columns {", ".join(table.columns)} do not include x, y, z')
     if not table.rows:
         raise InputError(f'{path} has no points')
@@ -160,8 +165,13 @@ def _points_table(path: Path) -> Table:
 def _recording(table: Table, name: str, scale: float) -> Recording:
     """Convert a table of points to a recording."""
     time, quality = table.first_of('t', 'time', 'stamp'), table.first_of('quality', 'error')
+    tools = None
+    if set(POSE) <= set(table.columns):
+        tools = table.numbers(*POSE) * np.array(3 * [scale] + 4 * [1.0])
     return Recording(
-        positions=table.numbers(*(XYZ if table.columns else range(3))) * scale,
+        positions=(table.numbers(*(XYZ if table.columns else range(3))) * scale if tools is None
+                   else tools[:, :3]),
+        tools=tools,
         stamps=None if time is None else _finite(table, time),
         frame_ids=table.text('frame_id') if 'frame_id' in table.columns else '',
         source_names=[name],

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.tool_pose import is_valid, normalized, tip_position
 
 
 class RecordedTransform(NamedTuple):
@@ -47,6 +48,8 @@ class Recording:
     source_names : topics, tools or files of the points
     quality : (n,) float64, m, error estimated by the tracker, NaN if unknown; or None
     strokes : (n,) int32, stroke numbers; or None
+    tools : (n, 7) float64, poses of the tool, see `common.tool_pose`, whose origins are then in
+        `positions`; a row of NaN where the tip was recorded; or None
     transforms : of the reference array and of /tf, in the order received
     dropped : dict, number of samples that the source marks as invalid, by cause
     notes : sentences on defects of the source that could be read anyway
@@ -59,6 +62,7 @@ class Recording:
     source_names: Sequence[str] = ('',)
     quality: Array | None = None
     strokes: NDArray[np.int32] | None = None
+    tools: Array | None = None
     transforms: Sequence[RecordedTransform] = ()
     dropped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -84,6 +88,22 @@ class Recording:
             self.quality = _array(self.quality, np.float64, 'quality', (n,))
         if self.strokes is not None:
             self.strokes = _array(self.strokes, np.int32, 'strokes', (n,))
+        if self.tools is not None:
+            self.tools = _array(self.tools, np.float64, 'tools', (n, 7))
+
+    def tip_positions(self, tip: Sequence[float]) -> tuple[Array, int]:
+        """Return positions (n, 3) of the tip, m, and how many have no valid tool (NaN)."""
+        if self.tools is None:
+            return self.positions, 0
+        given = ~np.isnan(self.tools).all(axis=1)
+        positions, bad = self.positions.copy(), 0
+        for row in np.flatnonzero(given):
+            x, y, z, qx, qy, qz, qw = self.tools[row].tolist()
+            tool = (x, y, z, qx, qy, qz, qw)
+            valid = is_valid(tool)
+            bad += not valid
+            positions[row] = tip_position(normalized(tool), tip) if valid else np.nan
+        return positions, bad
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -131,6 +151,7 @@ def merge(recordings: Sequence[Recording]) -> Recording:
         frame_ids=[frame for r in recordings for frame in r.frame_ids],
         sources=np.concatenate(sources).astype(np.int32), source_names=names,
         quality=_joined_quality(recordings), strokes=_joined_strokes(recordings),
+        tools=_joined_tools(recordings),
         dropped=dict(sum((Counter(r.dropped) for r in recordings), Counter())),
         notes=tuple(note for r in recordings for note in r.notes))
     order = np.arange(len(merged))
@@ -145,7 +166,7 @@ def merge(recordings: Sequence[Recording]) -> Recording:
 def _reorder(recording: Recording, order: NDArray[np.intp]) -> None:
     """Sort the points of ``recording`` by the indices ``order``."""
     recording.frame_ids = [recording.frame_ids[i] for i in order]
-    for name in ('positions', 'stamps', 'sources', 'quality', 'strokes'):
+    for name in ('positions', 'stamps', 'sources', 'quality', 'strokes', 'tools'):
         values = getattr(recording, name)
         if values is not None:
             setattr(recording, name, values[order])
@@ -168,6 +189,14 @@ def _joined_quality(recordings: Sequence[Recording]) -> Array | None:
         return None
     return np.concatenate(
         [np.full(len(r), np.nan) if r.quality is None else r.quality for r in recordings])
+
+
+def _joined_tools(recordings: Sequence[Recording]) -> Array | None:
+    """Return the concatenated poses of the tools, or None if no recording has any."""
+    if all(r.tools is None for r in recordings):
+        return None
+    return np.concatenate(
+        [np.full((len(r), 7), np.nan) if r.tools is None else r.tools for r in recordings])
 
 
 def _joined_strokes(recordings: Sequence[Recording]) -> NDArray[np.int32] | None:

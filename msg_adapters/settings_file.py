@@ -24,9 +24,11 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def read_config(path: str | None) -> Config:
+def read_config(path: str | None, base: Config = Config()) -> Config:   # noqa: B008 - it is frozen
     """
-    Return the settings of a YAML file, or the defaults if there is no file.
+    Return the settings of a YAML file; those that it does not have are those of ``base``.
+
+    Without a file they are those of ``base``.
 
     Raises
     ------
@@ -35,13 +37,13 @@ def read_config(path: str | None) -> Config:
 
     """
     if path is None:
-        return Config()
+        return base
     values = _parse(path, read_text(path))
     if not isinstance(values, dict):
         raise InputError(f'{path} contains no settings; give sections with names and values, as in '
                          'config/registration.yaml')
     try:
-        return Config.from_nested(values)
+        return base.merged(values)
     except InputError as error:
         raise InputError(f'{path}: {error.message}') from None
 

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,22 +16,10 @@ from msg_adapters import ndi, stamps
 from msg_adapters.bag import decode_message
 from msg_adapters.bag_storage import BagFiles, Topic
 from msg_adapters.files import unit_scale
-from msg_adapters.motion import TOLERANCE
+from msg_adapters.motion import ORIENTATION, POSITION, TOLERANCE, TOOL_POSES
 from msg_adapters.table import Table, read_table
 
-POSITION = ('tx', 'ty', 'tz')
-ORIENTATION = ('qx', 'qy', 'qz', 'qw')
 TABLES = ('.csv', '.txt', '.tsv')
-
-# position and orientation of each message type
-POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
-    'geometry_msgs/msg/PoseStamped': lambda message: (message.pose.position,
-                                                      message.pose.orientation),
-    'geometry_msgs/msg/PoseWithCovarianceStamped': lambda message: (
-        message.pose.pose.position, message.pose.pose.orientation),
-    'geometry_msgs/msg/TransformStamped': lambda message: (message.transform.translation,
-                                                           message.transform.rotation),
-}
 
 
 @dataclass(frozen=True)
@@ -137,7 +123,7 @@ def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> To
     times, positions, quaternions = [], [], []
     for i, raw in enumerate(bag.messages([topic.name])):
         message = decode_message(bag.path, i, raw)
-        position, turn = POSES[raw.msgtype](message)
+        position, turn = TOOL_POSES[raw.msgtype](message)
         stamp = message.header.stamp
         times.append(stamps.to_seconds(stamp.sec, stamp.nanosec))
         positions.append([position.x, position.y, position.z])
@@ -151,7 +137,7 @@ def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> To
 def _chosen_topic(path: Path, topics: list[Topic], wanted: str | None) -> Topic:
     """Return the wanted topic, or the only one with poses."""
     found = [topic for topic in topics
-             if topic.msgtype in POSES and wanted in (None, topic.name)]
+             if topic.msgtype in TOOL_POSES and wanted in (None, topic.name)]
     if len(found) == 1:
         return found[0]
     there = ', '.join(f'{topic.name} ({topic.msgtype})' for topic in topics) or 'no topics'

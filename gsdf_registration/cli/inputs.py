@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.common.result import InputError, Reason, Refusal
 
@@ -21,11 +21,18 @@ METRES = {'mm': 1e-3, 'm': 1.0}     # of a unit
 
 def effective_config(args: argparse.Namespace) -> Config:
     """Return the settings of ``--config``, with those that the command line names."""
+    from gsdf_registration.common.config import Config
     from msg_adapters.settings_file import read_config
-    config = read_config(args.config)
-    changes = {'model.path': args.model}
+    config = Config()
+    for path in args.config or ():
+        config = read_config(path, config)
+    changes: dict[str, Any] = {'model.path': args.model}
     if args.model_unit:
         changes['model.unit'] = args.model_unit
+    if getattr(args, 'tip', None) is not None:
+        changes['probe.tip'] = [value * METRES[args.unit] for value in args.tip]
+    if getattr(args, 'reference', None) is not None:
+        changes['reference.topic'] = args.reference
     if getattr(args, 'tip_radius', None) is not None:
         changes['probe.tip_radius'] = args.tip_radius * METRES[args.unit]
     return config.replaced(changes)
@@ -73,7 +80,10 @@ def prepare_kernels(config: Config) -> None:
 
 def read_recording(path: str, config: Config, topics: Sequence[str] | None = None) -> Recording:
     """Return the points of a bag, with the poses of the reference array if the settings ask."""
+    from gsdf_registration.common.config import ProbeConfig
     from msg_adapters.bag import read_bag
+    if topics is None and config.probe.topics != ProbeConfig().topics:
+        topics = config.probe.topics
     return read_bag(path, topics, config.reference.topic, frames=bool(config.points_frame))
 
 

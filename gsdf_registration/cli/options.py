@@ -5,12 +5,17 @@ from __future__ import annotations
 
 import argparse
 
+from gsdf_registration.common.command_line import three_numbers
+
 MODEL_HELP = 'bone model: STL, PLY, OBJ, OFF, a .gsdf field, or a point cloud with normals'
 
 
 def add_registration_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `register` and `replay` have in common."""
     add_start_options(parser)
+    parser.add_argument('--tip', type=three_numbers, metavar='X,Y,Z',
+                        help='position of the tip in the frame of the tool, in the unit of --unit, '
+                        'for poses of a tool (default: probe.tip)')
     parser.add_argument('--tip-radius', type=float, metavar='R',
                         help='radius of the ball at the end of the probe, in the unit of --unit; '
                         'the points are then those of its centre (default: probe.tip_radius)')
@@ -50,4 +55,6 @@ def add_start_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--initial', metavar='JSON',
                         help='initial guess: {"T_tracker_bone": 4x4, metres}; the result that '
                         '--json writes is accepted, too')
-    parser.add_argument('--config', metavar='YAML', help='settings, as in config/registration.yaml')
+    parser.add_argument('--config', metavar='YAML', action='append',
+                        help='settings, as in config/registration.yaml; may be repeated, as for '
+                        'the tip that gsdf pivot writes')

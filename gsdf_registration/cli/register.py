@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli import inputs, landmark_files, options, outputs, pose_outputs
 from gsdf_registration.common.command_line import example
-from gsdf_registration.common.result import Refusal, RegistrationResult
+from gsdf_registration.common.result import Reason, Refusal, RegistrationResult
 
 if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
@@ -30,8 +30,9 @@ def add_parser(subparsers: Any) -> None:
                   '--json pose.json'))
     parser.add_argument('model', metavar='MODEL', help=options.MODEL_HELP)
     parser.add_argument('points', metavar='POINTS',
-                        help='CSV with the header x,y,z; an NDI tracker CSV; PLY or XYZ; a point '
-                        'list of Slicer (.mrk.json, .fcsv)')
+                        help='CSV with the header x,y,z, or tx,ty,tz,qx,qy,qz,qw for poses of a '
+                        'tool; an NDI tracker CSV; PLY or XYZ; a point list of Slicer (.mrk.json, '
+                        '.fcsv)')
     parser.add_argument('--unit', choices=('mm', 'm'), required=True,
                         help='unit of the lengths in POINTS')
     parser.add_argument('--tool', metavar='NAME',
@@ -55,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
     T_tracker_bone = inputs.read_initial(args.initial)
     axes = landmark_files.axes_of(args, config)
     landmarks = landmark_files.read_landmark_files(args, config, args.unit)
-    recording = read_points(args.points, args.unit, args.tool, axes.tracker)
+    recording = read_points(args.points, args.unit, args.tool, axes.tracker,
+                            poses=bool(config.probe.tip))
     field = inputs.field_or_refusal(config)
     loaded = time.perf_counter()
     points = recording.positions
@@ -94,15 +96,21 @@ def register_recording(
     import numpy as np
 
     from gsdf_registration.common.samples import Rejection
+    from gsdf_registration.common.tool_pose import TIP_UNKNOWN
     from gsdf_registration.registration.pipeline import register
     from gsdf_registration.session.replay import replay
 
     if recording.stamps is None:
-        finite = np.isfinite(recording.positions).all(axis=1)
-        points = recording.positions[finite]
+        if recording.tools is not None and not config.probe.tip:
+            return (RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN), recording.positions,
+                    {})
+        positions, bad = recording.tip_positions(config.probe.tip)
+        finite = np.isfinite(positions).all(axis=1)
+        points = positions[finite]
         result = register(points, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone)
         return (dataclasses.replace(result, received=len(recording)), points,
-                {str(Rejection.NOT_FINITE): int((~finite).sum())})
+                {str(Rejection.NOT_FINITE): int((~finite).sum()) - bad,
+                 str(Rejection.BAD_QUATERNION): bad})
     # files of points do not name a frame
     recording.frame_ids = [config.probe.frame_id] * len(recording)
     result, session = replay(recording, field, config, landmarks, T_tracker_bone)

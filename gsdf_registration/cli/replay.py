@@ -39,9 +39,14 @@ def add_parser(subparsers: Any) -> None:
                         help='rosbag2 directory, or its .mcap or .db3 file')
     parser.add_argument('--model', required=True, metavar='MODEL', help=options.MODEL_HELP)
     parser.add_argument('--unit', choices=('mm', 'm'), default='m',
-                        help='unit of the tracker columns of --landmarks (default: m, as in bags)')
+                        help='unit of --tip, --tip-radius and the tracker columns of --landmarks '
+                        '(default: m, as in bags)')
     parser.add_argument('--topic', action='append', metavar='T',
-                        help='topic of the tip positions; may be repeated')
+                        help='topic of the probe: positions of its tip, or poses of the tool; may '
+                        'be repeated')
+    parser.add_argument('--reference', metavar='T',
+                        help='topic of the poses of the reference array (default: '
+                        'reference.topic)')
     parser.add_argument('--jobs', type=positive_number, default=1, metavar='N',
                         help='number of recordings processed in parallel (default: 1)')
     options.add_registration_options(parser)

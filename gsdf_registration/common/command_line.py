@@ -11,6 +11,7 @@ import argparse
 import difflib
 import importlib.util
 import logging
+import math
 import os
 import re
 import sys
@@ -62,6 +63,8 @@ class Parser(argparse.ArgumentParser):
         self._commands: Any = None
         kwargs.setdefault('formatter_class', HelpFormatter)
         super().__init__(*args, **kwargs)
+        # a value such as -1,2,3 is no option; argparse has no other way to say so
+        self._negative_number_matcher = re.compile(r'-\.?\d')
 
     def add_argument(self, *args: Any, **kwargs: Any) -> argparse.Action:
         """Add an argument, and remember its names for suggestions."""
@@ -135,6 +138,14 @@ def whole_number(text: str) -> int:
         return int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f'"{text}" is not a whole number') from None
+
+
+def three_numbers(text: str) -> list[float]:
+    """Return three finite numbers of the command line, x,y,z."""
+    values = [number(part) for part in text.split(',')]
+    if len(values) != 3 or not all(math.isfinite(value) for value in values):
+        raise argparse.ArgumentTypeError(f'must be three numbers x,y,z, not "{text}"')
+    return values
 
 
 def natural_number(text: str) -> int:

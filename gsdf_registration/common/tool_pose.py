@@ -21,7 +21,7 @@ from gsdf_registration.common.rigid import Array, quaternion_from_rotation, tran
 ToolPose = tuple[float, float, float, float, float, float, float]
 
 TIP_UNKNOWN = ('probe.tip is not set: calibrate the tip (~/calibrate_tip or gsdf pivot) or set '
-               'probe.tip; set it to 0 0 0 if the poses are those of the tip')
+               'probe.tip (--tip); set it to 0 0 0 if the poses are those of the tip')
 NOT_UNIT = 1e-3     # a quaternion whose length differs by more from 1 is no orientation
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 
 from gsdf_registration.common.config import Config, settings
 from gsdf_registration.common.result import InputError
@@ -122,8 +123,11 @@ class RegistrationNode(PreparedLifecycleNode):
         self.problem = None
         self._outputs = Outputs(self, config)
         self._inputs = Inputs(self, config, self.session)
+        if not changed.probe.tip:   # the session that is resumed may have one
+            changed = changed.replaced({'probe.tip': config.probe.tip})
         if changed != config:   # by a parameter set meanwhile
             self._configure(changed)
+        self.adopt_tip()
         return super().on_configure(state)
 
     @transition('activating', 'active')
@@ -146,6 +150,7 @@ class RegistrationNode(PreparedLifecycleNode):
         if self._inputs is not None:
             self._inputs.active = False
         self._stop_live()
+        self.session.calibrations.cancel('the node was deactivated')
         self.session.collect(False)
         self._renew_hints()
         if self._outputs is not None:
@@ -206,6 +211,19 @@ class RegistrationNode(PreparedLifecycleNode):
         if self._inputs is not None:
             self._inputs.clear()
         return self.session.clear()
+
+    def set_tip(self, tip: list[float]) -> None:
+        """Set ``probe.tip``, (3,) m; raise `InputError` if it cannot be set."""
+        (result,) = self.set_parameters([Parameter('probe.tip', Parameter.Type.DOUBLE_ARRAY, tip)])
+        if not result.successful:
+            raise InputError(f'probe.tip is not set: {result.reason}')
+
+    def adopt_tip(self) -> None:
+        """Set ``probe.tip`` to that of a session that was loaded, see `SessionState.restore`."""
+        tip = self.session.config.probe.tip
+        if tip != list(self.get_parameter('probe.tip').value):
+            self.set_tip(tip)
+            self.get_logger().info('probe.tip was not set; that of the session is used')
 
     def publish_status(self) -> None:
         """Publish ``~/status``, and the registration or its withdrawal, if they have changed."""

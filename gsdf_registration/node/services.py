@@ -25,6 +25,7 @@ from gsdf_registration.node.typed_services import typed_services
 from gsdf_registration.session import Session
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.status import Status
+from gsdf_registration.tracking.pivot import FixedPoint
 from msg_adapters import results
 
 Handler = Callable[[Any], Awaitable[Answer]]
@@ -61,6 +62,12 @@ class ServiceNode(Protocol):
     def clear(self) -> Answer:
         """Start a new session."""
 
+    def set_tip(self, tip: list[float]) -> None:
+        """Set ``probe.tip``, (3,) m; raise `InputError` if it cannot be set."""
+
+    def adopt_tip(self) -> None:
+        """Set ``probe.tip`` to that of a session that was loaded."""
+
     def registration_finished(self, success: bool) -> None:
         """Report the end of a registration to the live registration."""
 
@@ -81,7 +88,8 @@ class Services:
         # reentrant: ~/register awaits its solve while other requests, itself included, are answered
         group = ReentrantCallbackGroup()
         for handler in (self.collect, self.undo, self.clear, self.capture_landmark, self.register,
-                        self.verify, self.save, self.load):
+                        self.verify, self.save, self.load, self.calibrate_tip,
+                        self.find_joint_centre):
             kind = SetBool if handler == self.collect else Trigger
             node.create_service(kind, f'~/{handler.__name__}',
                                 self.callback(handler.__name__, handler), callback_group=group)
@@ -209,7 +217,37 @@ class Services:
         """Restore the session in ``session.path``, and publish its registration."""
         session, files = self._node.session, self._node.files
         path = await self._in_background(lambda: files.load(session))
+        self._node.adopt_tip()
         return Answer(True, f'session loaded from {path}: {session.status().message}')
+
+    async def calibrate_tip(self, _: Trigger.Request) -> Answer:
+        """
+        Start to calibrate the tip of the probe; the next call ends it, and sets ``probe.tip``.
+
+        The tip is also written beside ``session.path``, see `SessionFiles.save_tip`.
+        """
+        node, session = self._node, self._node.session
+        answer = await self._start_or_end(session, session.calibrations.calibrate_tip)
+        found = answer.detail
+        if not isinstance(found, FixedPoint) or found.point is None:
+            return answer
+        if session is not node.session:
+            return Answer(False, 'the node was stopped during the calibration; nothing is set')
+        node.set_tip(found.point.tolist())
+        written = await self._in_background(lambda: node.files.save_tip(session, found))
+        return Answer(True, f'{answer.message}; probe.tip is set{written}')
+
+    async def find_joint_centre(self, _: Trigger.Request) -> Answer:
+        """Start to find the centre of a joint from swinging; the next call ends it."""
+        session = self._node.session
+        return await self._start_or_end(session, session.calibrations.find_joint_centre)
+
+    async def _start_or_end(self, session: Session, call: Callable[[], Answer]) -> Answer:
+        """Start a calibration at once, or end it in the background: that takes a moment."""
+        if session.calibrations.progress is None:
+            return call()
+        answer: Answer = await self._in_background(call)
+        return answer
 
     async def _in_background(self, job: Callable[[], Any]) -> Any:
         executor = self._node.executor

@@ -15,6 +15,7 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.session import Session
 from gsdf_registration.session.events import Replay
+from gsdf_registration.tracking.pivot import FixedPoint
 from msg_adapters.session_file import MAX_SIZE, SessionFile, session_path
 from msg_adapters.session_journal import (
     SessionJournal,
@@ -23,6 +24,7 @@ from msg_adapters.session_journal import (
     read_journal,
     set_aside,
 )
+from msg_adapters.tip_file import tip_path, write_tip
 
 RETRY = 10.0        # s until a journal that could not be written is tried again
 ROW_SIZE = 200      # bytes of a point in a session file, at most
@@ -128,6 +130,22 @@ class SessionFiles:
         points, kept = self._file.save(path, session.to_dict)
         return f'session with {format_count(points, "point")} saved to {path}' + (
             f'; the session that was there before is kept as {kept}' if kept else '')
+
+    def save_tip(self, session: Session, found: FixedPoint) -> str:
+        """
+        Write a calibrated tip beside ``session.path``, for the next start.
+
+        Return where it is, or why it could not be written, as the end of a sentence.
+        """
+        assert found.point is not None and found.covariance is not None
+        path = tip_path(session_path(session.config.session.path))
+        try:
+            kept = write_tip(path, found.point, found.covariance[:3, :3], found.message,
+                             '~/calibrate_tip')
+        except InputError as error:
+            return f', but not written: {error.message}'
+        return f' and written to {path}' + (
+            f'; the tip that was there before is kept as {kept}' if kept else '')
 
     def load(self, session: Session) -> Path:
         """Restore the session in ``session.path``; return the path of the file."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from gsdf_registration.common.result import Reason, RegistrationResult, Zone
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.registration.stroke_report import interference_message
+from gsdf_registration.session.calibration import CalibrationProgress
 from gsdf_registration.session.pose_changes import WithdrawnPose
 from gsdf_registration.session.status import Status
 from msg_adapters.ros import diagnostic_status
@@ -67,12 +69,15 @@ def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticSta
             for cause, count in status.rejected.items()
         }, 'pose': 'none' if status.pose_result is None else f'in {status.pose_frame_id}',
         'withdrawn': '' if status.withdrawn is None else status.withdrawn.reason,
+        **_calibration(status.calibration),
         **(_accuracy(status.pose_result) if status.pose_result is not None else {}),
         **_live_values(live),
         **{f'stroke.{each.number}': each.sentence
            for each in live.stroke_reports or status.stroke_reports},
         **{f'landmark_miss_m.{name}': f'{error:.6f}'
-           for name, error in status.landmark_errors.items()}
+           for name, error in status.landmark_errors.items()},
+        **({} if status.pose_result is None else
+           {f'landmark.{fit.name}': fit.sentence for fit in status.pose_result.landmarks}),
     }
     if status.verification is not None:
         values['verification'] = status.verification.sentence
@@ -116,6 +121,14 @@ def _zone(zone: Zone) -> dict[str, str]:
             'zone.touched_p95_m': f'{zone.touched_p95_m:.6f}',
             'zone.bone_p95_m': f'{zone.bone_p95_m:.6f}',
             **{f'zone.p95_m.{target}': f'{p95:.6f}' for target, p95 in zone.p95_m.items()}}
+
+
+def _calibration(progress: CalibrationProgress | None) -> dict[str, str]:
+    """Return the state of a calibration."""
+    if progress is None:
+        return {'calibration': ''}
+    return {'calibration': progress.kind.value, 'calibration.poses': str(progress.poses),
+            'calibration.angle_deg': f'{math.degrees(progress.angle):.0f}'}
 
 
 def _live_values(live: LiveStatus) -> dict[str, str]:

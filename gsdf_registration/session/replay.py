@@ -8,6 +8,7 @@ The result is the same to the bit every time.
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 from gsdf_registration.common.config import Config
@@ -81,6 +82,9 @@ def _play(recording: Recording, transformer: PointTransformer, stamps: list[floa
     positions, sources = recording.positions.tolist(), recording.sources.tolist()
     quality = [None] * len(stamps) if recording.quality is None else recording.quality.tolist()
     strokes = [0] * len(stamps) if recording.strokes is None else recording.strokes.tolist()
+    tools = [None] * len(stamps) if recording.tools is None else [
+        None if all(math.isnan(value) for value in tool) else tuple(tool)
+        for tool in recording.tools.tolist()]
     transforms = iter([*recording.transforms, None])
     pending = next(transforms)
     for row in range(len(stamps) + 1):
@@ -94,7 +98,7 @@ def _play(recording: Recording, transformer: PointTransformer, stamps: list[floa
         if row < len(stamps):
             transformer.add_point(Sample(
                 stamps[row], tuple(positions[row]), recording.frame_ids[row], names[sources[row]],
-                quality=quality[row], stroke=strokes[row]))
+                quality=quality[row], stroke=strokes[row], tool=tools[row]))
     transformer.finish()
     if transformer.problem:
         _log.warning('%s', transformer.problem)

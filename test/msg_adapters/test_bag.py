@@ -86,27 +86,44 @@ def test_reads_compressed_bags(tmp_path, mode):
 
 
 @pytest.mark.parametrize('storage', STORAGES)
-def test_reads_points_and_rejects_the_poses_of_a_tool(tmp_path, storage):
+def test_reads_points_and_poses_of_a_tool(tmp_path, storage):
     pose = new('geometry_msgs/msg/Pose', new('geometry_msgs/msg/Point', 1.0, 2.0, 3.0),
-               new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0))
+               new('geometry_msgs/msg/Quaternion', 0.0, 0.6, 0.0, 0.8))
     motion = new('geometry_msgs/msg/Transform', new('geometry_msgs/msg/Vector3', 4.0, 5.0, 6.0),
                  new('geometry_msgs/msg/Quaternion', 0.0, 0.0, 0.0, 1.0))
+    uncertain = new('geometry_msgs/msg/PoseWithCovariance', pose, np.zeros(36))
     path = record(tmp_path / 'run', [
         ('/pose', 'geometry_msgs/msg/PoseStamped', 2,
          new('geometry_msgs/msg/PoseStamped', header(20, 'a'), pose)),
         ('/motion', 'geometry_msgs/msg/TransformStamped', 1,
          new('geometry_msgs/msg/TransformStamped', header(30, 'b'), 'tool', motion)),
+        ('/uncertain', 'geometry_msgs/msg/PoseWithCovarianceStamped', 5,
+         new('geometry_msgs/msg/PoseWithCovarianceStamped', header(50, 'd'), uncertain)),
         ('/point', POINT, 3, point(10, 7.0, 8.0, 9.0, 'c')),
         ('/text', 'std_msgs/msg/String', 4, new('std_msgs/msg/String', 'hello'))], storage)
     points = read_bag(path, ['/point'])
     assert points.positions.tolist() == [[7, 8, 9]] and points.frame_ids == ['c']
-    for tool in ('/pose', '/motion'):
-        message = refusal(path, ['/point', tool])
-        assert f'{tool} has the pose of a tool' in message and 'PointStamped' in message
+    assert points.tools is None
+    every = read_bag(path, ['/point', '/pose', '/motion', '/uncertain'])
+    assert every.positions.tolist() == [[4, 5, 6], [1, 2, 3], [7, 8, 9], [1, 2, 3]]
+    assert every.frame_ids == ['b', 'a', 'c', 'd']
+    assert every.tools[[0, 1, 3]].tolist() == [[4, 5, 6, 0, 0, 0, 1], [1, 2, 3, 0, 0.6, 0, 0.8],
+                                               [1, 2, 3, 0, 0.6, 0, 0.8]]
+    assert np.isnan(every.tools[2]).all()
     assert [(topic.name, topic.messages) for topic in list_topics(path)] == [
-        ('/motion', 1), ('/point', 1), ('/pose', 1), ('/text', 1)]
+        ('/motion', 1), ('/point', 1), ('/pose', 1), ('/text', 1), ('/uncertain', 1)]
     assert read_bag(path).source_names == ['/point']        # the only PointStamped topic
     assert '/text' in refusal(path, ['/text'])
+
+
+def test_the_only_tool_is_the_probe_if_there_are_no_points(tmp_path):
+    path = record(tmp_path / 'run', [
+        (topic, 'geometry_msgs/msg/PoseStamped', 1,
+         new('geometry_msgs/msg/PoseStamped', header(20, 'a'), pose_of(x)))
+        for topic, x in (('/probe/measured_cp', 1.0), ('/array/measured_cp', 2.0))])
+    assert '2 topics that could be the probe' in refusal(path)
+    points = read_bag(path, reference='/array/measured_cp')
+    assert points.source_names == ['/probe/measured_cp'] and points.positions[0, 0] == 1.0
 
 
 def pose_of(x, w=1.0):

@@ -113,6 +113,8 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
 class Tracker:
     """Publishes tip positions of a recording with ground truth."""
 
+    KIND: Any = PointStamped
+
     def __init__(self, client: Client, topics: list[str] = TOPICS, bag: Path = BAG) -> None:
         recording = read_bag(bag)
         self.client = client
@@ -122,7 +124,7 @@ class Tracker:
         self._stamp = 1000.0
         qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
         self._publishers = {
-            topic: client.node.create_publisher(PointStamped, topic, qos)
+            topic: client.node.create_publisher(self.KIND, topic, qos)
             for topic in topics
         }
 
@@ -147,8 +149,12 @@ class Tracker:
         for position, step in zip(positions, np.broadcast_to(steps, len(positions))):
             self._stamp += float(step)
             stamp = ros.seconds_to_stamp(self._stamp)
-            self._publishers[topic].publish(ros.point_msg(position, frame_id, stamp))
+            self._publishers[topic].publish(self.message(position, frame_id, stamp))
             time.sleep(0.0005)      # no faster than a real tracker
+
+    def message(self, position: np.ndarray, frame_id: str, stamp: Any) -> Any:
+        """Return the message for a position (3,) m of the tip."""
+        return ros.point_msg(position, frame_id, stamp)
 
     def await_processed(self, points: int) -> None:
         """Wait until the node has processed this number of points, even if it ignores them."""
