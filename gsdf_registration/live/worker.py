@@ -29,6 +29,7 @@ from gsdf_registration.live.live_registration import (
     LiveStatus,
 )
 from gsdf_registration.registration.evidence import Evidence
+from gsdf_registration.registration.free_space import NO_PLACES, places
 from gsdf_registration.registration.input_checks import initial_guess
 from gsdf_registration.registration.landmarks import MIN_LANDMARKS
 
@@ -75,6 +76,9 @@ class PointSource(Protocol):
 
     def landmarks(self) -> Landmarks:
         """Return the captured landmarks."""
+
+    def air(self) -> Array:
+        """Return where the probe was in the air (n, 3), m, tracker frame."""
 
     def initial_pose(self) -> Array | None:
         """Return T_tracker_bone (4, 4) to search around first; None: there is none."""
@@ -237,7 +241,8 @@ class LiveWorker:
         self._cancel = threading.Event()
         search = now >= self._next_search and not self._source.solving
         landmarks = self._source.landmarks()
-        job = live.assessment_job(search, self._guess(landmarks), Evidence(landmarks))
+        evidence = Evidence(landmarks, places(self._source.air()) if search else NO_PLACES)
+        job = live.assessment_job(search, self._guess(landmarks), evidence)
         self._assessing = self._pool.submit(self._assess, job, self._cancel)
         self._assessing.add_done_callback(lambda _: self.notify())
 

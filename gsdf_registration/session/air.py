@@ -33,7 +33,7 @@ MAX_STEP = 0.02         # m between consecutive samples of a path
 REACH = 3.0             # s between a position and a touch of the bone
 WAITING = 4096          # positions of a source from which the tip has not reached the bone yet
 SHAFT = np.arange(0.005, 0.1, 0.01)     # m behind the tip: up to there a probe is thin and straight
-MAX_POSES = 2000        # poses of collected points whose shaft counts, evenly chosen
+MAX_POSES = 1000        # poses of the tool whose shaft counts, evenly chosen
 
 Row = tuple[float, ...]     # x y z of the tip, m, followed by the pose of the tool if it is known
 ROW_SIZES = (3, 10)
@@ -160,6 +160,7 @@ def positions(rows: Sequence[Row], points: Points, tip: Sequence[float],
         return tips
     tools = np.concatenate([
         np.array([row[3:] for row in rows if len(row) > 3]).reshape(-1, 7), _poses(points)])
+    tools = tools[::max(-(-len(tools) // MAX_POSES), 1)]
     origin = np.asarray(tip) if len(tip) else np.zeros(3)
     along = np.asarray(shaft) / np.linalg.norm(shaft)
     return np.concatenate([tips, *(tip_positions(tools, (origin + distance * along).tolist())
@@ -173,5 +174,4 @@ def _poses(points: Points) -> Array:
     near = ((np.diff(points.strokes[order]) == 0)
             & (np.linalg.norm(np.diff(points.positions[order], axis=0), axis=1) <= MAX_STEP))
     between: NDArray[np.bool_] = np.append(near, False) & np.insert(near, 0, False)
-    chosen = tools[between[:len(tools)] & ~np.isnan(tools[:, 0])]
-    return chosen[::-(-len(chosen) // MAX_POSES) or 1]
+    return np.asarray(tools[between[:len(tools)] & ~np.isnan(tools[:, 0])])
