@@ -41,19 +41,26 @@ def on_strokes(points: Array) -> NDArray[np.bool_]:
     """
     Return a mask of the points that are on strokes and not scattered in space.
 
-    A point is on a stroke if it has more neighbours than scattered points have by chance, and if
-    it belongs to a cluster of such points. If no point is on a stroke, the points were captured
-    one by one, and all of them are used.
+    If no point is on a stroke, the points were captured one by one, and all of them are used.
 
     Parameters
     ----------
     points : (n, 3) float, metres
 
-    Returns
-    -------
-    (n,) bool
-
     """
+    found = in_clusters(points)
+    return found if found.any() else np.ones(len(points), dtype=bool)
+
+
+def in_clusters(points: Array) -> NDArray[np.bool_]:
+    """
+    Return a mask of the points (n, 3), m, that are on strokes.
+
+    A point is on a stroke if it has more neighbours than scattered points have by chance, and if
+    it belongs to a cluster of such points.
+    """
+    if not len(points):
+        return np.zeros(0, dtype=bool)
     # one point per voxel: a stationary tip must not slow this down
     chosen, voxel = voxel_grid(points, RADIUS / VOXELS_PER_RADIUS)
     sparse = points[chosen]
@@ -66,7 +73,7 @@ def on_strokes(points: Array) -> NDArray[np.bool_]:
         links = coo_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(count, count))
         _, cluster = connected_components(links, directed=False)
         dense[dense] = np.bincount(cluster)[cluster] >= MIN_CLUSTER
-    return dense[voxel] if dense.any() else np.ones(len(points), dtype=bool)
+    return np.asarray(dense[voxel])
 
 
 def has_neighbours(points: Array, cloud: Array) -> NDArray[np.bool_]:

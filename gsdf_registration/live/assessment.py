@@ -20,10 +20,10 @@ from gsdf_registration.registration.acceptance import rejection_reasons
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.evidence import Evidence
-from gsdf_registration.registration.input_checks import check_points
+from gsdf_registration.registration.input_checks import check_points, check_selection
 from gsdf_registration.registration.pipeline import find_candidates
 from gsdf_registration.registration.point_selection import (
-    evenly_spread,
+    PointSelection,
     select_points,
     weights_of_all,
 )
@@ -127,51 +127,58 @@ def assess_all_points(points: Points,
     """
     field = field.for_tip(config.probe.tip_radius)
     try:
-        check_points(points.positions, field, config.limits)
+        check_points(points.positions, config.limits)
+        selection = select_points(points.positions, config.collect.mode,
+                                  SEARCH_FACTOR * config.live.max_points)
+        check_selection(selection, points.positions, field, config.limits)
     except Refusal as refusal:
         return FullAssessment(points, rejection_reasons=(refusal,))
-    selection = select_points(points.positions, SEARCH_FACTOR * config.live.max_points)
-    rows = evenly_spread(selection.rows, config.live.max_points)
-    used = points.positions[rows]
     searched = selection.on_strokes >= search_threshold
     if searched:
-        candidate, reasons = _search(points.positions[selection.rows], field, config, guess,
-                                     evidence, cancelled)
-        pose = WarmPose(used, field, candidate.solution, config, evidence.landmarks.measured)
+        used, candidate, reasons = _search(selection, field, config, guess, evidence, cancelled)
+        used = used.thinned(config.live.max_points)
+        pose = WarmPose(used.positions, field, candidate.solution, config,
+                        evidence.landmarks.measured)
         pose.confidence = candidate.confidence
     elif previous is not None:
+        alone = len(previous.touches) == len(previous.weights)
+        used = selection.without_strokes() if alone else selection
+        used = used.thinned(config.live.max_points)
         pose, candidate, reasons = _follow(used, field, config, previous, evidence)
     else:
         return FullAssessment(points, selection.on_strokes, rejection_reasons=previous_reasons)
-    found = FullAssessment(points, selection.on_strokes, len(used), searched, reasons,
+    found = FullAssessment(points, selection.on_strokes, len(used.rows), searched, reasons,
                            candidate.predicted_tre_m, candidate.zone, pose)
     tolerated = TOLERATED_AFTER_SEARCH if searched else TOLERATED_WHILE_FOLLOWING
     if candidate.confidence is None or any(each.reason not in tolerated for each in reasons):
         # after a search there is nothing to follow; a followed pose may recover with more points
         return replace(found, pose=None) if searched else found
     residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points.positions))[0]
-    weights = weights_of_all(points.positions, rows, pose.solution.weights, residuals)
+    weights = weights_of_all(points.positions, used.rows, pose.solution.weights, residuals)
     return replace(found, T_tracker_bone=pose.T_tracker_bone, covariance=pose.covariance,
                    residuals_m=residuals, weights=weights,
                    stroke_reports=tuple(report_strokes(points, residuals, weights)))
 
 
-def _search(points: Array, field: Field, config: Config, guess: Array | None, evidence: Evidence,
-            cancelled: Callable[[], bool]) -> tuple[Candidate, tuple[Refusal, ...]]:
+def _search(selection: PointSelection, field: Field, config: Config, guess: Array | None,
+            evidence: Evidence, cancelled: Callable[[], bool]
+            ) -> tuple[PointSelection, Candidate, tuple[Refusal, ...]]:
     """Run the pipeline like `register`, on one thread: the other cores receive points."""
     config = config.replaced({'search.threads': 1})
-    for candidate in find_candidates(points, field, config, guess, evidence,
-                                     cancelled=cancelled):
-        reasons = tuple(rejection_reasons(candidate, points, field, config))
+    for used, candidate in find_candidates(selection, field, config, guess, evidence,
+                                           cancelled=cancelled):
+        reasons = tuple(rejection_reasons(candidate, used.positions, field, config))
         if {each.reason for each in reasons} <= TOLERATED_AFTER_SEARCH:
             break
-    return candidate, reasons
+    return used, candidate, reasons
 
 
-def _follow(points: Array, field: Field, config: Config, previous: Solution,
+def _follow(used: PointSelection, field: Field, config: Config, previous: Solution,
             evidence: Evidence) -> tuple[WarmPose, Candidate, tuple[Refusal, ...]]:
     """Solve from a previous solution and assess the result."""
-    pose = WarmPose(points, field, previous, config, evidence.landmarks.measured)
+    points = used.positions
+    pose = WarmPose(points, field, replace(previous, touches=used.touches), config,
+                    evidence.landmarks.measured)
     if pose.confidence is None:
         pose.confidence = assess_at(pose.solution, points, field, config.solver)
     residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points))[0]

@@ -9,13 +9,20 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.point_filters import has_neighbours
+from gsdf_registration.common.rests import find_rests
 from gsdf_registration.common.result import LandmarkFit
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import Confidence, assess, reassess
 from gsdf_registration.registration.landmark_evidence import fuse
 from gsdf_registration.registration.point_selection import evenly_spread
-from gsdf_registration.solver import Neighbourhood, Solution, allow_for_model_error, refine
+from gsdf_registration.solver import (
+    Neighbourhood,
+    Solution,
+    allow_for_model_error,
+    before,
+    refine,
+)
 
 # m; after a larger motion of a point the neighbourhoods are computed again
 NEIGHBOURHOOD_TOLERANCE = 0.003
@@ -24,6 +31,7 @@ MIN_NEW_SHARE = 0.002
 MAX_NEW = 2000          # points per call
 # Points among which neighbours are searched; only with many outliers there are more than those used
 MAX_CLOUD = 20_000
+RECENT = 300            # points before the new ones among which a rest is looked for
 CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T     # of a box: low or high in each axis
 
 
@@ -33,7 +41,8 @@ class WarmPose:
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, tracker frame, on strokes
+    points : (n, 3) float64, metres, tracker frame
+        On strokes first, then the touches of ``solution``.
     field : of the bone
     solution : of these points, or of most of them
     config : Config
@@ -56,7 +65,8 @@ class WarmPose:
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         self._corners = np.array([low, high])[CORNERS, [0, 1, 2]]
         self._T_at_restart = self.solution.T_bone_tracker
-        self._neighbourhood = Neighbourhood(self.points, self._field, self._T_at_restart)
+        self._neighbourhood = Neighbourhood(before(self.solution.touches, self.points), self._field,
+                                            self._T_at_restart)
         self._solve(reuse_correction=False)
         self.solution = allow_for_model_error(self.solution, self.points)
         if not len(self._landmarks):
@@ -75,17 +85,20 @@ class WarmPose:
         Add points (m, 3), m, tracker frame.
 
         Isolated points and those beyond ``live.max_points`` are not used; the next full assessment
-        considers them again. At most `MAX_NEW` points of a call are considered.
+        considers them again. It also finds the touches: a tip at rest adds nothing here, nor do
+        points between touches. At most `MAX_NEW` points of a call are considered.
         """
-        room = self._config.live.max_points - len(self.points)
-        if room <= 0:
+        room, strokes = self._config.live.max_points - len(self.points), len(self._neighbourhood)
+        if room <= 0 or not strokes or not len(points):
             return
         points = points[evenly_spread(np.arange(len(points)), MAX_NEW)]
         self._cloud = np.concatenate([self._cloud[-MAX_CLOUD:], points])
-        new = points[has_neighbours(points, self._cloud)][:room]
+        recent = self._cloud[-len(points) - RECENT:]
+        new = points[find_rests(recent).which[-len(points):] < 0]
+        new = new[has_neighbours(new, self._cloud)][:room]
         if not len(new):
             return
-        self.points = np.concatenate([self.points, new])
+        self.points = np.concatenate([self.points[:strokes], new, self.points[strokes:]])
         self._neighbourhood.add(new)
         if len(self.points) - len(self.solution.weights) < MIN_NEW_SHARE * len(self.points):
             return

@@ -69,8 +69,8 @@ class Candidate:
         """Number of points used."""
         return len(self.solution.weights)
 
-    def to_result(self, reason: Reason, message: str,
-                  used: NDArray[np.bool_]) -> RegistrationResult:
+    def to_result(self, reason: Reason, message: str, rows: NDArray[np.int64],
+                  received: int) -> RegistrationResult:
         """
         Return the result of a registration, with the pose only if ``reason`` is `CONVERGED`.
 
@@ -78,9 +78,11 @@ class Candidate:
         ----------
         reason : Reason
         message : str
-        used : (n,) bool
+        rows : (u,) int
             Which of the points passed to the registration were used; the residuals of the others
             are NaN and their weights 0.
+        received : int
+            Number of points passed to the registration.
 
         """
         T_tracker_bone = covariance = None
@@ -88,11 +90,11 @@ class Candidate:
             assert self.confidence is not None
             T_tracker_bone = rigid.inverse(self.solution.T_bone_tracker)
             covariance = self.confidence.pose_covariance(T_tracker_bone)
-        residuals, weights = np.full(len(used), np.nan), np.zeros(len(used))
-        residuals[used], weights[used] = self.selected.residuals, self.solution.weights
+        residuals, weights = np.full(received, np.nan), np.zeros(received)
+        residuals[rows], weights[rows] = self.selected.residuals, self.solution.weights
         return RegistrationResult(
             reason, message, T_tracker_bone, covariance,
-            received=len(used), used=self.used, inliers=self.inliers,
+            received=received, used=self.used, inliers=self.inliers,
             sigma_m=None if self.confidence is None else self.confidence.sigma,
             residual_rms_m=(rigid.rms(self.selected.residuals[self.inlier])
                             if self.inliers else None),

@@ -8,37 +8,21 @@ from numpy.typing import ArrayLike
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import LimitsConfig
-from gsdf_registration.common.formatting import format_length
+from gsdf_registration.common.formatting import format_count, format_length
 from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, Reason, Refusal, as_numbers
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.landmarks import pose_from_landmarks
-from gsdf_registration.registration.point_selection import (
-    CHECKED,
-    MAX_POINTS,
-    evenly_spread,
-    without_clumps,
-)
+from gsdf_registration.registration.point_selection import PointSelection
 
 # The extent of the points over that of the bone: outside this range the unit is wrong, by a factor
 # of a thousand, even if the whole bone is exposed
 MIN_EXTENT_RATIO, MAX_EXTENT_RATIO = 0.002, 20.0
 
 
-def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
-    """
-    Check the points (n, 3), metres, tracker frame.
-
-    Their extent is measured between the 5th and the 95th percentile, as there may be outliers, and
-    without most points of a stationary tip.
-
-    Raises
-    ------
-    Refusal
-        If the points cannot be registered.
-
-    """
+def check_points(points: Array, limits: LimitsConfig) -> None:
+    """Check the points (n, 3), metres, tracker frame; raise `Refusal` if they are not valid."""
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f'points must be an (n, 3) array, but their shape is {points.shape}')
     # NaN, infinite, or so large that it marks a missing value
@@ -51,10 +35,23 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
             Reason.TOO_FEW_POINTS,
             f'too few points: {len(points)}, {limits.min_points} are needed; '
             'drag the probe over more of the bone')
-    spread = points[evenly_spread(np.arange(len(points)), CHECKED * MAX_POINTS)]
-    spread = spread[without_clumps(spread)]
-    if len(spread) < limits.min_points:     # they are all in one place
-        spread = points
+
+
+def check_selection(selection: PointSelection, points: Array, field: Field,
+                    limits: LimitsConfig) -> None:
+    """
+    Check the extent and the number of the selected points.
+
+    The extent is measured between the 5th and the 95th percentile, as there may be outliers.
+
+    Raises
+    ------
+    Refusal
+        If the points cannot be registered.
+
+    """
+    used = len(selection.rows)
+    spread = selection.positions if used >= limits.min_points else points
     extent = float(np.ptp(np.percentile(spread, [5.0, 95.0], axis=0), axis=0).max())
     plausible = MIN_EXTENT_RATIO * field.extent < extent < MAX_EXTENT_RATIO * field.extent
     if extent > 0.0 and not plausible:
@@ -67,6 +64,13 @@ def check_points(points: Array, field: Field, limits: LimitsConfig) -> None:
             Reason.REGION_TOO_SMALL,
             f'the points span only {format_length(extent)}, {format_length(limits.min_extent)} '
             'are needed; drag the probe over more of the bone')
+    if used < limits.min_points:
+        touches = format_count(len(selection.touches), 'touch', 'touches')
+        raise Refusal(
+            Reason.TOO_FEW_POINTS,
+            f'too few points: {selection.strokes} on strokes and {touches}, {limits.min_points} '
+            'are needed; drag the probe over the bone, or hold it still for half a second at each '
+            'of many places')
 
 
 def initial_guess(landmarks: Landmarks | None,

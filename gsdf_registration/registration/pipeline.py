@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import Reason, Refusal, RegistrationResult, as_numbers
 from gsdf_registration.common.rigid import Array
@@ -21,8 +22,12 @@ from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import Confidence, assess_at
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.free_space import NO_PLACES, places
-from gsdf_registration.registration.input_checks import check_points, initial_guess
-from gsdf_registration.registration.landmark_evidence import fuse
+from gsdf_registration.registration.input_checks import (
+    check_points,
+    check_selection,
+    initial_guess,
+)
+from gsdf_registration.registration.landmark_evidence import fuse, mistakes
 from gsdf_registration.registration.point_selection import (
     PointSelection,
     select_points,
@@ -79,30 +84,33 @@ def register(points: ArrayLike,
     try:
         points = as_numbers(points, 'points')
         received = len(points) if points.ndim else 0
-        check_points(points, field, config.limits)
+        check_points(points, config.limits)
         evidence = _evidence(landmarks, air)
         guess = initial_guess(evidence.landmarks, T_tracker_bone)
-        selection = select_points(points)
-        chosen = points[selection.rows]
-        for candidate in find_candidates(chosen, field, config, guess, evidence,
-                                         cancelled=cancelled, progress=progress, history=history):
-            refusal = next(rejection_reasons(candidate, chosen, field, config), None)
+        selection = select_points(points, config.collect.mode)
+        check_selection(selection, points, field, config.limits)
+        for used, candidate in find_candidates(selection, field, config, guess, evidence,
+                                               cancelled=cancelled, progress=progress,
+                                               history=history):
+            refusal = next(rejection_reasons(candidate, used.positions, field, config), None)
             if refusal is None:
                 break
     except Refusal as error:
         return RegistrationResult.refused(error.reason, error.message, received=received)
-    used = selection.used
-    result = (candidate.to_result(Reason.CONVERGED, acceptance_message(candidate), used)
-              if refusal is None else candidate.to_result(refusal.reason, refusal.message, used))
-    result = _with_points_left_out(result, candidate, points, selection, field)
+    reason, message = ((Reason.CONVERGED, acceptance_message(candidate)) if refusal is None
+                       else (refusal.reason, refusal.message))
+    message = '; '.join(filter(None, (message, mistakes(candidate.selected.landmarks))))
+    result = candidate.to_result(reason, message, used.rows, received)
+    result = _with_points_left_out(result, candidate, points, used, field)
     return replace(result, timing_s={**result.timing_s, 'total': perf_counter() - started})
 
 
 def _with_points_left_out(result: RegistrationResult, candidate: Candidate, points: Array,
                           selection: PointSelection, field: Field) -> RegistrationResult:
-    """Return the result with the counts of points left out; downsampled points get a residual."""
-    result = replace(result, left_out=selection.left_out)
-    if not selection.left_out['downsampled']:
+    """Return the result with the counts of points left out, and residuals for all but outliers."""
+    left_out = selection.left_out
+    result = replace(result, left_out=left_out)
+    if not any(left_out[cause] for cause in ('downsampled', 'resting', 'moving')):
         return result
     T_bone_tracker = candidate.solution.T_bone_tracker
     residuals = field.sample(rigid.transform(T_bone_tracker, points))[0]
@@ -110,8 +118,12 @@ def _with_points_left_out(result: RegistrationResult, candidate: Candidate, poin
     assert result.residuals_m is not None
     known = np.isfinite(result.residuals_m)
     residuals[known] = result.residuals_m[known]
-    message = (f'{result.message}; {selection.total} points were downsampled to '
-               f'{len(selection.rows)}')
+    message = result.message
+    if left_out['resting'] and len(selection.touches):
+        message += (f'; {left_out["resting"] + len(selection.touches)} points at rest count as '
+                    f'{format_count(len(selection.touches), "touch", "touches")}')
+    if left_out['downsampled']:
+        message += f'; {selection.total} points were downsampled to {len(selection.rows)}'
     return replace(result, message=message, residuals_m=residuals, weights=weights)
 
 
@@ -136,7 +148,7 @@ def _with_landmarks(selected: SelectedPose, confidence: Confidence | None, point
     return replace(selected, solution=solution, residuals=residuals, landmarks=fits), confidence
 
 
-def find_candidates(points: Array,
+def find_candidates(selection: PointSelection,
                     field: Field,
                     config: Config,
                     guess: Array | None,
@@ -144,17 +156,19 @@ def find_candidates(points: Array,
                     *,
                     cancelled: Callable[[], bool] | None = None,
                     progress: Callable[[float], None] | None = None,
-                    history: bool = False,
-                    touches: Array = NO_TOUCHES) -> Iterator[Candidate]:
+                    history: bool = False) -> Iterator[tuple[PointSelection, Candidate]]:
     """
-    Yield the candidate around a guess, T_bone_tracker, then that of a search of the whole bone.
+    Yield candidates and the points that they are computed from: those around a guess first.
 
-    Without a guess there is only the second one. It is computed only if the caller rejects the
-    first; the other parameters are as in `find_candidate`.
+    Each is computed only if the caller rejects the one before. Around the guess, T_bone_tracker, if
+    there is one, and then everywhere, the `attempts` of the selection are tried one after another.
+    The other parameters are as in `find_candidate`.
     """
     for starts in ([],) if guess is None else ([guess], []):
-        yield find_candidate(points, field, config, starts, evidence, cancelled=cancelled,
-                             progress=progress, history=history, touches=touches)
+        for attempt in selection.attempts(config.limits.min_points):
+            yield attempt, find_candidate(attempt.positions, field, config, starts, evidence,
+                                          cancelled=cancelled, progress=progress, history=history,
+                                          touches=attempt.touches)
 
 
 def find_candidate(points: Array,

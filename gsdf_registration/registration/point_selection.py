@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Select the points that a pose is computed from.
+Select the points that a pose is computed from: points on strokes, and touches.
 
-The points of a stationary tip are one piece of evidence, however many they are. So the number of
-points in a small ball is limited.
+The positions of a tip at rest are one piece of evidence, however many they are: they share the
+error of the tissue under the tip, and of the model. So a rest becomes one point, a touch. Points
+that were captured one by one are touches as well.
 
 Above some thousands, more points on the same surface hardly improve the pose, but each takes time
 and memory. At most a fixed number is used then, spread evenly over all points in the order they
@@ -12,16 +13,18 @@ were collected, so that every stroke and every kind of outlier keeps its share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gsdf_registration.common.downsampling import limit_density, voxel_downsample
-from gsdf_registration.common.point_filters import first_duplicate, on_strokes
+from gsdf_registration.common.point_filters import first_duplicate, in_clusters
+from gsdf_registration.common.rests import Rests, find_rests
 from gsdf_registration.common.result import INLIER_WEIGHT
 from gsdf_registration.common.rigid import Array, rms
+from gsdf_registration.solver import NO_TOUCHES
 
 Indices = NDArray[np.int64]
 
@@ -30,79 +33,143 @@ Indices = NDArray[np.int64]
 MAX_POINTS = 10_000
 # The filter of isolated points checks at most this many times the maximum number of points
 CHECKED = 4
-# At most this many points are used within this radius, m. A stroke has some three there, a tip at
-# rest hundreds, which share one error: of the tissue under the tip, or of the model.
-CLUMP_RADIUS, CLUMP_POINTS = 5e-4, 8
-PLACES = 1000       # at which the usual number is counted
+CAUSES = ('isolated', 'repeated', 'resting', 'moving', 'downsampled')
 OUTLYING = 5.0      # times the RMS residual of the points on the bone
+# Noise of a rest over that of a point on a stroke, at least: the error of the model is the same
+MIN_NOISE = 0.5
+# Touches alone are tried first if there are fewer points on strokes for each touch: the others may
+# be on the way through the air
+STROKE_POINTS = 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PointSelection:
     """
     Which of n points are used, and why the others are not.
 
     total : int, n
-    rows : (u,) int, of the points used, ascending
-    isolated : int, scattered outliers among the points checked
-    repeated : int, repeated readings among the points checked
-    on_strokes : int, estimated number of points on strokes among all points
+    positions : (u, 3) float, m, of the points used: on strokes first, then touches
+    rows : (u,) int, which of the points each is; of a rest the nearest one
+    touches : (t,) float, relative noise of the touches, see `gsdf_registration.solver.touches`
+    left_out : number of points that are not used, by cause; with ``rows`` they add up to n:
+        isolated (scattered outliers among the points checked), repeated (readings), resting (at a
+        rest, of which one counts), moving (between touches), downsampled
+    on_strokes : int, estimated number of points on strokes among all points, and of touches
     """
 
     total: int
+    positions: Array
     rows: Indices
-    isolated: int
-    repeated: int
+    touches: Array
+    left_out: dict[str, int]
     on_strokes: int
 
     @property
-    def used(self) -> NDArray[np.bool_]:
-        """Whether each point is used, (n,)."""
-        mask = np.zeros(self.total, dtype=bool)
-        mask[self.rows] = True
-        return mask
+    def strokes(self) -> int:
+        """Number of points used that are on strokes."""
+        return len(self.rows) - len(self.touches)
 
-    @property
-    def left_out(self) -> dict[str, int]:
-        """Number of points that are not used, by cause; with `rows` they add up to n."""
-        downsampled = self.total - len(self.rows) - self.isolated - self.repeated
-        return {'isolated': self.isolated, 'repeated': self.repeated, 'downsampled': downsampled}
+    def thinned(self, limit: int) -> PointSelection:
+        """Return the selection with at most ``limit`` points on strokes, evenly spread."""
+        kept = np.concatenate([evenly_spread(np.arange(self.strokes), limit),
+                               np.arange(self.strokes, len(self.rows))])
+        return self._only(kept, 'downsampled')
+
+    def without_strokes(self) -> PointSelection:
+        """Return the selection with touches only."""
+        alone = self._only(np.arange(self.strokes, len(self.rows)), 'moving')
+        typical = float(np.median(self.touches)) if len(self.touches) else 1.0
+        return replace(alone, touches=self.touches / typical, on_strokes=len(self.touches))
+
+    def _only(self, kept: Indices, cause: str) -> PointSelection:
+        """Return the selection with the ``kept`` points; the others are left out by ``cause``."""
+        fewer = len(self.rows) - len(kept)
+        return replace(self, positions=self.positions[kept], rows=self.rows[kept],
+                       left_out=self.left_out | {cause: self.left_out[cause] + fewer})
+
+    def attempts(self, min_points: int) -> Iterator[PointSelection]:
+        """
+        Yield this selection and, if it has ``min_points`` touches, the touches alone.
+
+        A probe that touches a bone here and there moves through the air between.
+        """
+        if not self.strokes or len(self.touches) < min_points:
+            yield self
+        elif self.strokes < STROKE_POINTS * len(self.touches):
+            yield from (self.without_strokes(), self)
+        else:
+            yield from (self, self.without_strokes())
 
 
-def select_points(points: Array, limit: int = MAX_POINTS) -> PointSelection:
+def select_points(points: Array, mode: str = 'both', limit: int = MAX_POINTS) -> PointSelection:
     """
-    Select at most ``limit`` points on strokes.
+    Select touches and at most ``limit`` points on strokes.
 
     The result depends only on the points and their order.
 
     Parameters
     ----------
     points : (n, 3) float64, metres, tracker frame
+        Finite, in the order they were measured. Of points in another order, rests are not found.
+    mode : 'strokes', 'touches' or 'both'
+        What counts. Points that were captured one by one are touches.
     limit : int
 
     """
-    spaced = without_clumps(points)
-    checked = evenly_spread(spaced, CHECKED * limit)
+    rests = find_rests(points)
+    moving = np.flatnonzero(rests.which < 0)
+    resting = len(points) - len(moving)
+    left_out = dict.fromkeys(CAUSES, 0)
+    if mode == 'touches' and resting:
+        return _with_rests(points, rests, moving[:0], NO_TOUCHES,
+                           left_out | {'moving': len(moving)}, 0)
+    checked = evenly_spread(moving, CHECKED * limit)
     seen = points[checked]
-    dense = on_strokes(seen)
+    used = in_clusters(seen)
+    # without clusters the points were captured one by one, unless most are at rest
+    singly = (mode == 'touches' or not used.any()) and 2 * resting <= len(points)
+    used = used | singly
     first = first_duplicate(seen) == np.arange(len(seen))
-    rows = checked[dense & first]
-    return PointSelection(
-        len(points), evenly_spread(rows, limit), int((~dense).sum()), int((dense & ~first).sum()),
-        len(rows) * len(spaced) // max(len(checked), 1))
+    rows = checked[used & first]
+    left_out['isolated'], left_out['repeated'] = int((~used).sum()), int((used & ~first).sum())
+    total = len(rows) * len(moving) // max(len(checked), 1)
+    rows = evenly_spread(rows, limit)
+    left_out['downsampled'] = len(moving) - len(rows) - sum(left_out.values())
+    touches = np.ones(len(rows)) if singly and mode != 'strokes' else NO_TOUCHES
+    if mode == 'strokes':
+        return PointSelection(len(points), points[rows], rows, NO_TOUCHES,
+                              left_out | {'resting': resting}, total)
+    return _with_rests(points, rests, rows, touches, left_out, total)
 
 
-def without_clumps(points: Array) -> Indices:
-    """
-    Return the rows of ``points`` (n, 3) without most of those of a stationary tip.
+def _with_rests(points: Array, rests: Rests, rows: Indices, touches: Array,
+                left_out: dict[str, int], total: int) -> PointSelection:
+    """Return the selection of ``rows``, of which the last are ``touches``, and of the rests."""
+    places, resting = len(rests.positions), np.flatnonzero(rests.which >= 0)
+    selection = PointSelection(
+        len(points), np.concatenate([points[rows], rests.positions]),
+        np.concatenate([rows, _nearest_samples(points, rests, resting)]),
+        np.concatenate([touches, _relative_noise(rests)]),
+        left_out | {'resting': len(resting) - places}, total + places)
+    return selection if selection.strokes else selection.without_strokes()
 
-    The faster the tracker, the more points are in a ball of `CLUMP_RADIUS` on a stroke. As many as
-    in the densest tenth of all places may stay: a fixed number would favour the points of fast
-    motion, through the air, over those of strokes.
-    """
-    places = evenly_spread(voxel_downsample(points, 2.0 * CLUMP_RADIUS), PLACES)
-    count = cKDTree(points).query_ball_point(points[places], CLUMP_RADIUS, return_length=True)
-    return limit_density(points, CLUMP_RADIUS, max(CLUMP_POINTS, int(np.quantile(count, 0.9))))
+
+def _nearest_samples(points: Array, rests: Rests, resting: Indices) -> Indices:
+    """Return which of the ``resting`` points is nearest to the position of each rest (r,)."""
+    rest = rests.which[resting]
+    off = ((points[resting] - rests.positions[rest])**2).sum(axis=1)
+    order = np.lexsort((off, rest))
+    first = np.r_[True, np.diff(rest[order]) > 0] if len(order) else np.zeros(0, dtype=bool)
+    return np.asarray(resting[order[first]])
+
+
+def _relative_noise(rests: Rests) -> Array:
+    """Return the noise of each rest (r,) over that of a point on a stroke."""
+    if not len(rests.noise):
+        return NO_TOUCHES
+    noise = float(np.median(rests.noise))
+    typical = np.clip(noise / max(float(np.median(rests.spread)), 1e-12), MIN_NOISE, 1.0)
+    return np.asarray(typical * rests.noise / noise)
 
 
 def evenly_spread(rows: Indices, limit: int) -> Indices:

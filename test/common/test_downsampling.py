@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from gsdf_registration.common import rigid
 from gsdf_registration.common.downsampling import (
     farthest_point_sample,
-    limit_density,
     principal_frame,
     voxel_downsample,
 )
@@ -74,17 +73,3 @@ def test_principal_frame_is_rigid_and_moves_with_the_points(seed: int) -> None:
 def test_principal_frame_of_few_points_is_rigid(n: int) -> None:
     points = np.random.default_rng(1).uniform(-0.15, 0.15, (n, 3))
     assert rigid.is_rigid(principal_frame(points), 1e-9)
-
-
-def test_limits_the_density_as_a_slow_check_of_all_pairs_does() -> None:
-    rng = np.random.default_rng(2)
-    points = np.concatenate([rng.normal(0.0, 4e-4, (200, 3)), rng.uniform(-0.02, 0.02, (200, 3))])
-    kept: list[int] = []
-    for k, point in enumerate(points):
-        if (np.linalg.norm(points[kept] - point, axis=1) < 5e-4).sum() < 3:
-            kept.append(k)
-    assert 200 < len(kept) < 300
-    np.testing.assert_array_equal(limit_density(points, 5e-4, 3), kept)
-    moved = rigid.transform(rigid.from_rt(rigid.rotation_exp(np.array([0.3, -1.0, 2.0])),
-                                          np.array([1.0, -200.0, 3.0])), points)
-    np.testing.assert_array_equal(limit_density(moved, 5e-4, 3), kept)

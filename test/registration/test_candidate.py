@@ -24,7 +24,7 @@ def candidate() -> Candidate:
 
 @pytest.mark.parametrize('reason', [Reason.CONVERGED, Reason.AMBIGUOUS])
 def test_only_an_accepted_candidate_yields_a_pose(candidate: Candidate, reason: Reason) -> None:
-    result = candidate.to_result(reason, 'message', np.ones(400, dtype=bool))
+    result = candidate.to_result(reason, 'message', np.arange(400), 400)
     assert (result.T_tracker_bone is None) == (result.covariance is None) == (not result.success)
     assert (result.reason, result.message) == (reason, 'message')
     assert result.predicted_tre_m == candidate.predicted_tre_m
@@ -35,7 +35,7 @@ def test_only_an_accepted_candidate_yields_a_pose(candidate: Candidate, reason: 
 def test_points_that_were_not_used_have_no_residual_and_no_weight(candidate: Candidate) -> None:
     used = np.ones(402, dtype=bool)
     used[[0, 401]] = False
-    result = candidate.to_result(Reason.CONVERGED, 'message', used)
+    result = candidate.to_result(Reason.CONVERGED, 'message', np.flatnonzero(used), 402)
     assert (result.received, result.used, result.inliers) == (402, 400, candidate.inliers)
     assert result.residuals_m is not None and result.weights is not None
     assert np.isnan(result.residuals_m[~used]).all()
@@ -53,6 +53,6 @@ def test_the_predicted_tre_is_given_at_targets_and_over_the_bone(candidate: Cand
 
 def test_without_confidence_there_is_no_accuracy(candidate: Candidate) -> None:
     unconstrained = assess_candidate(candidate.selected, None, POINTS, bone_field(), CONFIG)
-    result = unconstrained.to_result(Reason.UNDER_CONSTRAINED, 'message', np.ones(400, dtype=bool))
+    result = unconstrained.to_result(Reason.UNDER_CONSTRAINED, 'message', np.arange(400), 400)
     assert result.predicted_tre_m == {} and result.weakest_direction is None
     assert result.sigma_m is None and result.inliers == candidate.inliers

@@ -18,8 +18,10 @@ from gsdf_registration.registration.input_checks import (
     MAX_EXTENT_RATIO,
     MIN_EXTENT_RATIO,
     check_points,
+    check_selection,
     initial_guess,
 )
+from gsdf_registration.registration.point_selection import PointSelection, select_points
 
 LIMITS = LimitsConfig(min_extent=0.0)
 
@@ -33,7 +35,9 @@ def line(extent: float) -> Array:
 
 def reason(points: Array, limits: LimitsConfig = LIMITS) -> Reason | None:
     try:
-        check_points(points, bone_field(), limits)
+        check_points(points, limits)
+        selection = PointSelection(len(points), points, np.arange(len(points)), np.zeros(0), {}, 0)
+        check_selection(selection, points, bone_field(), limits)
     except Refusal as refusal:
         return refusal.reason
     return None
@@ -48,6 +52,14 @@ def test_the_extent_reveals_a_wrong_unit(ratio: float, expected: Reason | None) 
 
 def test_points_at_one_place_are_too_small_a_region() -> None:
     assert reason(np.zeros((100, 3)), LimitsConfig()) is Reason.REGION_TOO_SMALL
+
+
+def test_a_few_places_at_which_the_tip_rested_are_too_few_touches() -> None:
+    rng = np.random.default_rng(0)
+    rests = np.repeat(touched_points(12), 30, axis=0) + 1e-4 * rng.normal(size=(360, 3))
+    with pytest.raises(Refusal, match='0 on strokes and 12 touches, 30 are needed') as refusal:
+        check_selection(select_points(rests), rests, bone_field(), LIMITS)
+    assert refusal.value.reason is Reason.TOO_FEW_POINTS
 
 
 def test_the_extent_ignores_outliers() -> None:

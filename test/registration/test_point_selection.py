@@ -14,9 +14,8 @@ from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.registration.pipeline import register
 from gsdf_registration.registration.point_selection import (
     CHECKED,
-    CLUMP_POINTS,
-    CLUMP_RADIUS,
     MAX_POINTS,
+    MIN_NOISE,
     PointSelection,
     select_points,
     weights_of_all,
@@ -41,8 +40,8 @@ def counted(selection: PointSelection) -> int:
 def test_uses_all_points_on_strokes_up_to_the_limit() -> None:
     points = np.concatenate([plane(1800), scattered(150)])
     points = np.concatenate([points, points[:50]])
-    selection = select_points(points, 2000)
-    np.testing.assert_array_equal(selection.used, filter_isolated(points))
+    selection = select_points(points, limit=2000)
+    np.testing.assert_array_equal(selection.rows, np.flatnonzero(filter_isolated(points)))
     assert selection.left_out['downsampled'] == 0 and selection.left_out['repeated'] == 50
     assert selection.left_out['isolated'] > 100
     assert counted(selection) == 2000
@@ -53,7 +52,7 @@ def test_outliers_and_points_on_strokes_keep_their_shares(outliers: float) -> No
     n = 60_000
     points = np.concatenate([plane(round((1.0 - outliers) * n)), scattered(round(outliers * n))])
     order = RNG.permutation(n)
-    selection = select_points(points[order], 2000)
+    selection = select_points(points[order], limit=2000)
     assert counted(selection) == n
     assert len(selection.rows) <= 2000
     checked = n if n < CHECKED * 2000 else CHECKED * 2000
@@ -62,18 +61,21 @@ def test_outliers_and_points_on_strokes_keep_their_shares(outliers: float) -> No
 
 
 def test_points_are_spread_over_the_whole_recording() -> None:
-    rows = select_points(plane(30_000), 1000).rows
+    rows = select_points(plane(30_000), limit=1000).rows
     assert len(rows) == 1000
     assert rows[0] < 60 and rows[-1] > 29_940
     assert np.diff(rows).max() < 200
 
 
 @pytest.mark.parametrize('resting', [560, 150_000])
-def test_a_stationary_tip_does_not_displace_the_strokes(resting: int) -> None:
-    strokes, clump = plane(900, 0.05), plane(1) + 2e-4 * RNG.normal(size=(resting, 3))
-    selection = select_points(np.concatenate([strokes, clump]), 2000)
-    assert (selection.rows < 900).sum() > 850
-    assert (selection.rows >= 900).sum() < 200
+def test_a_stationary_tip_is_one_touch(resting: int) -> None:
+    strokes, place = plane(900, 0.05), np.array([0.02, 0.03, 0.003])
+    clump = place + 2e-4 * RNG.normal(size=(resting, 3))
+    selection = select_points(np.concatenate([strokes, clump]), limit=2000)
+    assert selection.strokes > 880 and len(selection.touches) == 1
+    assert np.linalg.norm(selection.positions[-1] - place) < 1e-4
+    assert selection.rows[-1] >= 900 and selection.left_out['resting'] > resting - 20
+    assert MIN_NOISE <= selection.touches[0] < 1.0
     assert counted(selection) == 900 + resting
 
 
@@ -82,13 +84,63 @@ def test_every_point_of_a_stroke_is_used() -> None:
     stroke = np.column_stack([x, np.zeros_like(x), np.zeros_like(x)])
     crossing = stroke[:, [1, 0, 2]] + [0.02, -0.02, 0.0]
     assert len(select_points(np.concatenate([stroke, crossing])).rows) == 2 * len(x)
-    assert CLUMP_POINTS > 2.0 * CLUMP_RADIUS / 3e-4 + 1.0
+
+
+def touches(places: Array, at_rest: int = 40, in_air: int = 12) -> Array:
+    """Return the samples of a tip that rests at each place and moves through the air between."""
+    parts = []
+    for a, b in zip(places, np.roll(places, -1, axis=0)):
+        s = np.linspace(0.0, 1.0, in_air)[:, None]
+        parts += [np.repeat(a[None], at_rest, axis=0),
+                  a + s * (b - a) + [0.0, 0.0, 0.03] * np.sin(np.pi * s)]
+    path = np.concatenate(parts)
+    return path + 1.5e-4 * RNG.normal(size=path.shape)
+
+
+def scattered_places(n: int) -> Array:
+    grid = 0.01 * np.array([[i, j, 0.0] for i in range(10) for j in range(10)])
+    return grid[RNG.permutation(100)[:n]]
+
+
+def test_each_rest_is_a_touch_in_the_place_of_the_rest() -> None:
+    places = scattered_places(40)
+    for mode in ('touches', 'both'):
+        selection = select_points(touches(places), mode)
+        attempts = list(selection.attempts(30))
+        alone = min(attempts, key=lambda each: each.strokes)
+        assert alone.strokes == 0 and len(alone.touches) == 40
+        off = np.linalg.norm(alone.positions[:, None] - places, axis=2).min(axis=0)
+        assert off.max() < 1.5e-4
+        np.testing.assert_allclose(alone.touches, 1.0, atol=0.3)
+        assert all(counted(each) == 40 * 52 for each in attempts)
+
+
+def test_points_captured_one_by_one_are_touches() -> None:
+    places = scattered_places(60)
+    for mode, count in (('both', 60), ('touches', 60), ('strokes', 0)):
+        selection = select_points(places, mode)
+        assert len(selection.touches) == count and len(selection.rows) == 60
+        np.testing.assert_array_equal(selection.positions, places)
+
+
+def test_in_the_mode_strokes_a_rest_does_not_count() -> None:
+    selection = select_points(np.concatenate([plane(900, 0.05), touches(scattered_places(1))]),
+                              'strokes')
+    assert not len(selection.touches) and selection.left_out['resting'] >= 40
+    assert counted(selection) == 952
+
+
+def test_a_few_touches_are_used_with_the_strokes_only() -> None:
+    few = select_points(np.concatenate([plane(900, 0.05), touches(scattered_places(5))]))
+    assert list(few.attempts(30)) == [few]
+    assert len(few.touches) == 5 and few.thinned(100).strokes == 100
+    assert len(few.thinned(100).touches) == 5 and counted(few.thinned(100)) == counted(few)
 
 
 def test_a_distant_outlier_does_not_change_the_selection_of_the_others() -> None:
     points = plane(5000)
-    rows = select_points(points, 1000).rows
-    far = select_points(np.concatenate([points, [[9e5, -9e5, 9e5]]]), 1000).rows
+    rows = select_points(points, limit=1000).rows
+    far = select_points(np.concatenate([points, [[9e5, -9e5, 9e5]]]), limit=1000).rows
     assert np.isin(far, rows).mean() > 0.5 and len(far) == 1000
 
 
