@@ -74,3 +74,22 @@ def with_model_error(points: Array, seed: int, sigma: float, length: float) -> A
     phases = rng.uniform(0.0, 2.0 * np.pi, 500)
     error = sigma * np.sqrt(2.0 / 500) * np.cos(points @ waves.T + phases).sum(axis=1)
     return np.asarray(points + error[:, None] * bone_field().sample(points)[1])
+
+
+@cache
+def plate_field() -> Field:
+    """Return the field of a plate whose wavy upper side has the same shape seen from inside."""
+    plate = trimesh.creation.box((0.08, 0.08, 0.02))
+    for _ in range(5):
+        plate = plate.subdivide()
+    upper = plate.vertices[:, 2] > 0.0
+    plate.vertices[upper] = on_plate(plate.vertices[upper, :2]) + [0.0, 0.0, 1.0] * (
+        plate.vertices[upper] - [0.0, 0.0, 0.01])
+    return field_of(plate, 0.002)
+
+
+def on_plate(at: Array) -> Array:
+    """Return the points (n, 3) of the upper side of the plate at ``at`` (n, 2), m."""
+    x, y = at.T
+    height = 0.01 + 0.004 * np.sin(80.0 * y) * (1.0 + 0.4 * np.sin(90.0 * x + 1.0))
+    return np.column_stack([x, y, height])

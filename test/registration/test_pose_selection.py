@@ -3,17 +3,13 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
-import trimesh
-from smooth_bone import T_TRACKER_BONE, bone_field, field_of, touched_points
+from smooth_bone import T_TRACKER_BONE, bone_field, on_plate, plate_field, touched_points
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.field import Field
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.pose_selection import SAME_MINIMUM, select_pose, solve_all
 from gsdf_registration.solver import solve
@@ -86,36 +82,18 @@ def test_alternatives_are_distinct_and_sorted_by_likelihood() -> None:
     assert selected.runner_up_ratio is not None and selected.runner_up_ratio > 1.0
 
 
-@cache
-def plate() -> Field:
-    """Return a wavy plate whose upper side has the same shape seen from below."""
-    box = trimesh.creation.box((0.08, 0.08, 0.02))
-    for _ in range(5):
-        box = box.subdivide()
-    box.vertices[:, 2] += waves(box.vertices)
-    return field_of(box, 0.002)
-
-
-def waves(at: Array) -> Array:
-    x, y = at[:, 0], at[:, 1]
-    return np.asarray(0.004 * np.sin(80.0 * y) * (1.0 + 0.4 * np.sin(90.0 * x + 1.0)))
-
-
 def test_the_air_decides_on_which_side_of_the_points_the_bone_is() -> None:
     rng = np.random.default_rng(0)
-    points, above = np.zeros((400, 3)), np.zeros((40, 3))
-    points[:, :2] = rng.uniform(-0.03, 0.03, (400, 2))
-    above[:, :2] = rng.uniform(-0.02, 0.02, (40, 2))
-    points[:, 2] = 0.01 + waves(points) + 1e-4 * rng.normal(size=400)
-    above[:, 2] = rng.uniform(0.02, 0.03, 40)
+    points = on_plate(rng.uniform(-0.03, 0.03, (400, 2))) + 1e-4 * rng.normal(size=(400, 3))
+    above = on_plate(rng.uniform(-0.02, 0.02, (40, 2))) + [0.0, 0.0, 0.012]
     below = above * [1.0, -1.0, -1.0] + [0.0, 0.0, 0.02]
     upright = np.eye(4)
     turned = rigid.from_rt(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.02]))
 
     def select(starts: list[Array], air: Array) -> tuple[float, int]:
         evidence = Evidence(air=air)
-        found = solve_all(points, plate(), starts, CONFIG, evidence=evidence)
-        chosen = select_pose(found, points, plate(), CONFIG.solver, evidence)
+        found = solve_all(points, plate_field(), starts, CONFIG, evidence=evidence)
+        chosen = select_pose(found, points, plate_field(), CONFIG.solver, evidence)
         return (float(chosen.solution.T_bone_tracker[2, 2]),
                 len(chosen.ambiguous(CONFIG.limits.min_gap)))
     for starts in ([upright, turned], [turned, upright]):

@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from smooth_bone import T_TRACKER_BONE, on_plate, plate_field
 
-from gsdf_registration.common.config import GateConfig
-from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.config import Config, GateConfig
+from gsdf_registration.common.result import Reason
+from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.common.samples import Points, Rejection, Sample, without_tools
+from gsdf_registration.session import Session
 from gsdf_registration.session.air import (
     CELL,
     MAX_POSITIONS,
@@ -19,6 +24,7 @@ from gsdf_registration.session.air import (
     positions,
     with_tip,
 )
+from gsdf_registration.session.events import Replay
 
 GATE = GateConfig()
 AIR = Rejection.NOT_COLLECTING
@@ -141,3 +147,52 @@ def test_without_the_pose_of_a_tool_only_the_tip_counts() -> None:
                            np.zeros(4, np.int32))
     assert positions([(1.0, 2.0, 3.0)], points, [], [0.0, 0.0, 1.0]).tolist() == [[1.0, 2.0, 3.0]]
     assert positions([], points, [], []).shape == (0, 3)
+
+
+def operate(session: Session) -> None:
+    """Drag the tip over a plate in ten strokes; lift it between them while not collecting."""
+    rng, clock = np.random.default_rng(0), 0.0
+
+    def send(places: Array) -> None:
+        nonlocal clock
+        for place in transform(T_TRACKER_BONE, places):
+            clock += 0.02
+            session.add(Sample(clock, tuple(place.tolist()), 'tracker', 'tip'))
+    for y in np.linspace(-0.03, 0.03, 10):
+        stroke = on_plate(np.column_stack([np.linspace(-0.03, 0.03, 60), np.full(60, y)]))
+        up = np.arange(1.0, 11.0)[:, None] * [0.0, 0.0, 0.002]
+        session.collect(True)
+        send(stroke + 1e-4 * rng.normal(size=stroke.shape))
+        session.collect(False)
+        send(stroke[-1] + up)
+
+
+@pytest.fixture(scope='module')
+def operated() -> tuple[Session, Replay]:
+    """Return a session, and the record of its events."""
+    replay = Replay()
+    session = Session(Config.from_flat({'search.rotations': 60}), plate_field())
+    session.listen(replay.apply)
+    operate(session)
+    return session, replay
+
+
+def test_a_session_decides_by_the_air_on_which_side_the_bone_is(operated: Any) -> None:
+    session, _ = operated
+    assert 80 < len(session.air()) <= 100
+    assert session.register().success
+    session.configure(session.config.replaced({'collect.air': False}))
+    assert session.air().shape == (0, 3)
+    assert session.register().reason is Reason.AMBIGUOUS
+    session.configure(session.config.replaced({'collect.air': True}))
+
+
+def test_the_air_is_in_the_record_and_in_the_events(operated: Any) -> None:
+    session, replay = operated
+    assert len(session.to_dict()['air']) == len(session.air())
+    assert replay.session['air'] == session.to_dict()['air']
+    other = Session(Config(), plate_field())
+    other.restore(session.to_dict())
+    np.testing.assert_array_equal(other.air(), session.air())
+    other.clear()
+    assert len(other.air()) == 0
