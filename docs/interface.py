@@ -101,6 +101,7 @@ STATUS = {
     'stroke.*': 'how many points of each stroke lie on the bone, a sentence',
     'landmark_miss_m.*': 'distance of each touched landmark from its place on the registered bone, '
                          'm',
+    'landmark.*': 'how each landmark with a standard deviation fits, a sentence',
     'verification': 'summary of all verification points, a sentence; absent without any',
 }
 REASONS = {

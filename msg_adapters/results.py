@@ -19,7 +19,12 @@ from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion, Vecto
 from numpy.typing import ArrayLike
 from std_msgs.msg import Header
 
-from gsdf_registration.common.result import NextTouch, RegistrationResult, WeakestDirection
+from gsdf_registration.common.result import (
+    LandmarkFit,
+    NextTouch,
+    RegistrationResult,
+    WeakestDirection,
+)
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.common.withdrawal import Withdrawal
 from msg_adapters import ros
@@ -127,7 +132,9 @@ def result_msg(result: RegistrationResult, header: ResultHeader, *,
     message.rejected_causes = list(rejected or ())
     message.rejected_counts = list((rejected or {}).values())
     message.strokes = [stroke_msg(each) for each in strokes]
-    message.landmarks = [landmark_msg(each, result.T_tracker_bone) for each in landmarks]
+    fits = {fit.name: fit for fit in result.landmarks}
+    message.landmarks = [landmark_msg(each, result.T_tracker_bone, fits.get(each.name))
+                         for each in landmarks]
     if result.weakest_direction is not None:
         message.weakest_direction = weakest_direction_msg(result.weakest_direction)
     return message
@@ -147,13 +154,21 @@ def stroke_msg(stroke: Stroke) -> Any:
                                  rms=_number(stroke.rms_m), interference=stroke.interference)
 
 
-def landmark_msg(landmark: Landmark, T_tracker_bone: Array | None) -> Any:
-    """Return the LandmarkReport message of a landmark at a pose (4, 4), or without one."""
+def landmark_msg(landmark: Landmark, T_tracker_bone: Array | None,
+                 fit: LandmarkFit | None = None) -> Any:
+    """
+    Return the LandmarkReport message of a landmark at a pose (4, 4), or without one.
+
+    ``fit``: of a landmark with a standard deviation, in the registration of this pose.
+    """
     miss = NAN
     if T_tracker_bone is not None:
         miss = float(np.linalg.norm(transform(T_tracker_bone, landmark.model) - landmark.tracker))
     return message_types().LandmarkReport(name=landmark.name, model=_point(landmark.model),
-                                   touched=_point(landmark.tracker), miss=miss)
+                                   touched=_point(landmark.tracker), miss=miss,
+                                   sigma=0.0 if fit is None else fit.sigma_m,
+                                   deviations=NAN if fit is None else fit.deviations,
+                                   used=fit is not None and fit.used)
 
 
 def weakest_direction_msg(direction: WeakestDirection) -> Any:

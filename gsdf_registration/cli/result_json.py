@@ -55,6 +55,7 @@ def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str 
         'zone': result.zone,
         'weakest_direction': dict.fromkeys(WeakestDirection.__dataclass_fields__)
         if result.weakest_direction is None else result.weakest_direction,
+        'landmarks': result.landmarks,
         'ambiguity': {'runner_up_ratio': result.runner_up_ratio},
         'timing_s': {'load': load_s, 'search': result.timing_s.get('search'),
                      'solve': result.timing_s.get('solve'), 'total': total_s},

@@ -46,7 +46,8 @@ def summary(result: RegistrationResult, frame_id: str = '',
     return _table(f'registered: {result.message}', [
         ('position', f'{_numbers(1e3 * T[:3, 3])} mm{frame}'),
         ('rotation', f'{_numbers(angles)} deg about the fixed axes x, y, z'),
-        *points, ('predicted TRE', _predicted_tre(result)), *more])
+        *points, *((f'landmark {fit.name}', fit.sentence) for fit in result.landmarks),
+        ('predicted TRE', _predicted_tre(result)), *more])
 
 
 def counts_by_cause(rejected: Mapping[str, int]) -> str:

@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gsdf_registration.common.formatting import format_error
+from gsdf_registration.common.formatting import format_error, format_length
 from gsdf_registration.common.rigid import Array, inverse
 
 INLIER_WEIGHT = 0.5       # a point with a larger weight is an inlier: it lies on the bone
@@ -142,6 +142,13 @@ class LandmarkFit:
     sigma_m: float
     residual_m: float
     deviations: float
+
+    @property
+    def sentence(self) -> str:
+        """The distance, and whether the landmark was used."""
+        apart = (f'{format_length(self.residual_m)} from its place, {self.deviations:.1f} standard '
+                 'deviations from where it is expected without it')
+        return apart if self.used else f'{apart}: not used'
 
 
 @dataclass(frozen=True)

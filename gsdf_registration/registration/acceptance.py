@@ -16,7 +16,7 @@ from gsdf_registration.field import Field
 from gsdf_registration.registration.candidate import Candidate
 from gsdf_registration.registration.free_space import Blocked
 from gsdf_registration.registration.guidance import distinguishing_touch, next_touches
-from gsdf_registration.registration.landmarks import named_points
+from gsdf_registration.registration.landmarks import MIN_LANDMARKS, named_points
 from gsdf_registration.registration.wording import describe_place
 from gsdf_registration.registration.zone import required_part
 
@@ -53,6 +53,7 @@ def rejection_reasons(candidate: Candidate, points: Array, field: Field,
         return
     yield from _check_extent(on_bone, limits)
     yield from _check_fit(candidate, limits)
+    yield from _check_landmarks(candidate)
     yield from _check_free_space(candidate.selected.blocked)
     touched = rigid.transform(candidate.solution.T_bone_tracker, on_bone)
     yield from _check_alternatives(candidate, touched, field, config)
@@ -107,6 +108,17 @@ def _check_free_space(blocked: Blocked) -> Iterator[Refusal]:
                       f'{blocked.total} places and up to {format_length(blocked.depth)} deep; '
                       'check that the model is of this patient and side, and the tip and shaft of '
                       'the probe, or set collect.air to false if bone has been removed')
+
+
+def _check_landmarks(candidate: Candidate) -> Iterator[Refusal]:
+    """Yield a refusal if most of three or more landmarks contradict the points."""
+    fits = candidate.selected.landmarks
+    wrong = sum(not fit.used for fit in fits)
+    if len(fits) >= MIN_LANDMARKS and 2 * wrong > len(fits):
+        yield Refusal(Reason.MODEL_MISMATCH,
+                      f'{wrong} of {len(fits)} landmarks contradict the points; check in which '
+                      'order they were touched, landmarks.sigmas, and that the model is of this '
+                      'patient and this side')
 
 
 def _check_alternatives(candidate: Candidate, touched: Array, field: Field,

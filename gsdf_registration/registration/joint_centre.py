@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -72,9 +73,8 @@ def find_hip_centre(field: Field,
     found = []
     for hollow, smallest in ((False, HEAD_AREA), (True, CUP_AREA)):
         toward = outward if hollow else -outward        # the centre
-        part = 0.5 * hollow
         sphere = _search(surface[chosen], toward[chosen], rng,
-                         lambda share, part=part: progress(part + 0.5 * share))
+                         partial(_report, progress, 0.5 * hollow))
         sphere = None if sphere is None else _refined(surface, toward, *sphere)
         if sphere is not None:
             on = _on_sphere(surface, toward, *sphere)
@@ -88,6 +88,10 @@ def find_hip_centre(field: Field,
             f'{1e3 * RADII[0]:.0f} to {1e3 * RADII[1]:.0f} mm; check the model and its unit')
     # a head is larger than a cup; the area of other round parts is a small part of either
     return max(found, key=lambda each: each.area / (CUP_AREA if each.hollow else HEAD_AREA))
+
+
+def _report(progress: Callable[[float], None], before: float, share: float) -> None:
+    progress(before + 0.5 * share)      # one half for heads, one for cups
 
 
 def _search(points: Array, toward: Array, rng: np.random.Generator,

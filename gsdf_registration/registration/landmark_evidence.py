@@ -9,12 +9,14 @@ its covariance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from gsdf_registration.common import rigid
+from gsdf_registration.common.formatting import format_length
 from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import LandmarkFit
 from gsdf_registration.common.rigid import Array
@@ -38,9 +40,10 @@ from gsdf_registration.solver import Solution
 MISTAKE = 4.0
 OUTLIER = 3.0       # standard deviations of a point that hardly counts while a pose slides
 MOST_MISTAKES = 3   # that are found at once; more are found one after the other
-# Log-likelihood that a mistake costs a pose, the default of `limits.min_gap`: a landmark decides
-# between two poses that fit the points alike, and never against points that fit one pose clearly
-MISTAKE_COST = 24.0
+# Log-likelihood that a mistake costs a pose. A landmark that fits costs at most half the square of
+# `MISTAKE`, 8, so one that fits decides between two poses that fit the points alike, for which the
+# default of `limits.min_gap` is 24; one mistake alone does not outweigh points that fit one pose.
+MISTAKE_COST = 32.0
 # Difference in squared standard deviations below which two explanations are about as likely. If it
 # is not clear which landmark is the mistake, none of them is used.
 UNCLEAR = 9.0
@@ -98,6 +101,17 @@ def fuse(solution: Solution, confidence: Confidence, points: Array, field: Field
     return moved, sure, tuple(
         LandmarkFit(name, k in used, float(landmarks.sigmas[k]), float(apart[k]), deviations[k])
         for k, name in enumerate(landmarks.names))
+
+
+def mistakes(fits: Sequence[LandmarkFit]) -> str:
+    """Return a sentence on the landmarks that are mistakes; empty if there are none."""
+    wrong = [fit for fit in fits if not fit.used]
+    if not wrong:
+        return ''
+    off = ', '.join(f'"{fit.name}" is {format_length(fit.residual_m)} from its place, '
+                    f'{fit.deviations:.0f} times what was expected' for fit in wrong)
+    return (f'{"a landmark is" if len(wrong) == 1 else f"{len(wrong)} landmarks are"} left out as '
+            f'a mistake: {off}; check what was touched')
 
 
 def slide(T_bone_tracker: Array, points: Array, field: Field, sd: Array,

@@ -20,6 +20,9 @@ def sections(result: RegistrationResult, about: Mapping[str, str]) -> dict[str, 
         'Pose of the bone in the tracker frame': _pose(result),
         candidate + 'Expected accuracy (predicted TRE)': _accuracy(result),
         candidate + 'Fit, NOT the accuracy': _fit(result),
+        'Landmarks as measurements': [
+            (fit.name, f'{fit.sentence}; its standard deviation is {_mm(fit.sigma_m)}')
+            for fit in result.landmarks],
         'Points': [('received', str(result.received)), ('used', str(result.used)),
                    ('inliers', str(result.inliers))],
         'Time': [(name, f'{seconds:.2f} s') for name, seconds in result.timing_s.items()],
