@@ -88,7 +88,8 @@ setup(
         'igtl': ['pyigtl>=0.3'],
         # segmentations (NIfTI, NRRD, DICOM), models in VTK files, transforms in HDF5
         'ct': ['SimpleITK>=2.3', 'highdicom>=0.22', 'scikit-image>=0.22', 'vtk>=9.3'],
-        'bench': ['libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich', 'small_gicp>=1.0'],
+        'bench': ['fast-simplification', 'libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich',
+                  'scikit-image', 'small_gicp>=1.0'],
         'test': [
             'pytest>=8',
             'pytest-timeout',
