@@ -53,14 +53,12 @@ def write_tip(path: str | os.PathLike[str], tip: Array, covariance: Array, summa
 
     """
     path, kept = Path(path), None
-    if path.suffix not in SUFFIXES:
-        raise InputError(f'{path}: the name of a tip file ends with .yaml')
-    _check_replaceable(path)
+    check_tip_path(path)
 
     def keep() -> None:
         nonlocal kept
         if path.exists():
-            _check_replaceable(path)
+            check_tip_path(path)
             kept = keep_with_date(path)
 
     write_atomically(path, _text(tip, covariance, summary, source), before=keep)
@@ -72,13 +70,16 @@ def _text(tip: Array, covariance: Array, summary: str, source: str) -> str:
              'covariance of x y z, m^2:',
              *('  ' + '  '.join(f'{value: .4e}' for value in row) for row in covariance.tolist())]
     comments = ''.join(f'# {" ".join(line.split())}\n' for line in about[1:])
-    values = ', '.join(f'{value:.7f}' for value in np.asarray(tip).tolist())
+    values = ', '.join(repr(value) for value in np.asarray(tip).tolist())
     return (f'{MARK}{about[0]}\n{comments}/**:\n  ros__parameters:\n    probe:\n'
             f'      # position of the tip in the frame of the tool [m]\n      tip: [{values}]\n')
 
 
-def _check_replaceable(path: Path) -> None:
-    """Raise `InputError` if there is something else at ``path`` than a tip file."""
+def check_tip_path(path: str | os.PathLike[str]) -> None:
+    """Raise `InputError` unless a tip can be written there: nothing else is overwritten."""
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise InputError(f'{path}: the name of a tip file ends with .yaml')
     try:
         found = irregular(path)
         if not found and path.exists():

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli import outputs
@@ -27,7 +28,7 @@ def add_parser(subparsers: Any) -> None:
         'the tip was kept in a divot and the tool was tilted to all sides. Wrong readings are left '
         'out; if the tip slipped, only the longest part is used. The tip is rejected if its '
         'expected error (95 %) exceeds 1 mm.',
-        **example('gsdf pivot pivot_bag --topic /probe/pose --json tip.json',
+        **example('gsdf pivot pivot_bag --topic /probe/measured_cp -o tip.yaml',
                   'gsdf pivot pivot.csv --unit mm --tool Probe'))
     parser.add_argument('recording', metavar='BAG|CSV',
                         help='a bag; a CSV with the header tx,ty,tz,qx,qy,qz,qw; or an NDI tracker '
@@ -40,6 +41,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--topic', metavar='T',
                         help='topic of the poses, if a bag has several (PoseStamped, '
                         'PoseWithCovarianceStamped or TransformStamped)')
+    parser.add_argument('-o', '--output', metavar='TIP.yaml',
+                        help='write the tip as settings for --params-file of the node and --config '
+                        'of gsdf; a tip that is there is kept under another name')
     parser.add_argument('--json', metavar='OUT',
                         help='write the result as JSON; - for standard output')
     parser.set_defaults(run=run)
@@ -52,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
     poses = read_tool_poses(args.recording, args.unit, tool=args.tool, topic=args.topic)
     result = _with_unit_check(calibrate_pivot(poses.T_tracker_body, poses.stamps), poses)
+    kept = _write_tip(args, result, poses)
     outputs.write_json(args.json, pivot_to_json(result, poses))
     output = sys.stderr if args.json == '-' else sys.stdout
     for note in poses.notes:
@@ -60,11 +65,27 @@ def run(args: argparse.Namespace) -> int:
     if result.point is not None and result.centre is not None:
         print(f'tip in the tool frame:      {_millimetres(result.point)}\n'
               f'pivot in the tracker frame: {_millimetres(result.centre)}', file=output)
+    if args.output is not None and result.success:
+        print(f'tip written to {args.output}'
+              + (f'; the tip that was there before is kept as {kept}' if kept else ''), file=output)
     left_out = ', '.join(f'{count} {cause.replace("_", " ")}'
                          for cause, count in _rejected(result, poses).items() if count)
     if left_out:
         print(f'poses left out: {left_out}', file=output)
     return 0 if result.success else 1
+
+
+def _write_tip(args: argparse.Namespace, result: FixedPoint, poses: ToolPoses) -> Path | None:
+    """Write the tip file if it is asked for; return where the one that was there is kept."""
+    from msg_adapters.tip_file import check_tip_path, write_tip
+
+    if args.output is None:
+        return None
+    check_tip_path(args.output)
+    if result.point is None or result.covariance is None:
+        return None
+    return write_tip(args.output, result.point, result.covariance[:3, :3], result.message,
+                     f'{args.recording}, {poses.name}')
 
 
 def _with_unit_check(result: FixedPoint, poses: ToolPoses) -> FixedPoint:

@@ -29,6 +29,9 @@ from gsdf_registration.tracking.pivot import (
 )
 from gsdf_registration.tracking.pivot_poses import rigid_rows
 
+# m, standard deviation of a joint centre on the model: picked, or the centre of a fitted sphere
+PLACE = 0.002
+
 
 class CalibrationKind(Enum):
     """What is searched for; the value is the name of the service."""
@@ -139,17 +142,20 @@ def joint_landmark(found: FixedPoint, stamp: float, config: Config) -> CapturedL
     """
     Return a joint centre as a landmark; ``stamp``, s: of the last pose.
 
-    Its standard deviation is that of the data, and the largest effect of an error that varies with
-    the orientation, see `Task.systematic`. It is at least that of ``landmarks.sigmas``.
+    Its standard deviation combines that of the data, the largest effect of an error that varies
+    with the orientation (`Task.systematic`), and that of its place on the model: the entry in
+    ``landmarks.sigmas``, or `PLACE` if that list is empty.  With an entry of 0 the joint centre is
+    only part of the initial guess.
     """
     assert found.point is not None and found.covariance is not None
     name = config.landmarks.joint_centre
     row = 3 * config.landmarks.names.index(name)
-    variance = float(np.trace(found.covariance[:3, :3])) / 3.0
+    place = config.landmarks.sigma_of(name) if config.landmarks.sigmas else PLACE
+    variance = place**2 + float(np.trace(found.covariance[:3, :3])) / 3.0
     variance += JOINT.systematic**2 / max(found.constraint or 0.0, 1e-12)
     return CapturedLandmark(name, np.array(config.landmarks.positions[row:row + 3]), found.point,
                             found.residual_rms or 0.0, stamp,
-                            sigma_m=max(math.sqrt(variance), config.landmarks.sigma_of(name)))
+                            sigma_m=math.sqrt(variance) if place > 0.0 else 0.0)
 
 
 def _millimetres(vector: Array, digits: int) -> str:
