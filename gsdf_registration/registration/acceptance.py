@@ -23,7 +23,7 @@ from gsdf_registration.registration.zone import required_part
 # Share of the points: with so many inliers on the bone, correlated residuals come from an
 # inaccurate model or tracker, for which the covariance allows, and not from another bone
 CLEAR_INLIERS = 0.93
-# Log-likelihood of the places in the air below which the pose itself is wrong: eleven places in bone
+# Log-likelihood of the places in the air below which a pose is wrong: eleven places inside the bone
 MIN_FREE = -24.0
 TOUCH_ELSEWHERE = 'touch other sides of the bone'
 

@@ -100,6 +100,27 @@ def blocked(air: Array, T_bone_tracker: Array, field: Field) -> Blocked:
                    max(float(_terms(depths).sum()), -MOST))
 
 
+def start_poses(found: Array, air: Array, field: Field, count: int) -> Array:
+    """
+    Return the first ``count`` poses, and the first ``count`` of all that the air does not rule out.
+
+    Otherwise the air could rule out all of the first few but a wrong one, which would then seem to
+    be without alternatives.
+
+    Parameters
+    ----------
+    found : (n, 4, 4) float, T_bone_tracker, m, best first
+    air : as in `log_likelihood`
+    field : Field
+    count : int
+
+    """
+    if not len(air):
+        return found[:count]
+    free = [k for k, T in enumerate(found) if log_likelihood(air, T, field) > -0.25 * MOST]
+    return found[sorted({*range(min(count, len(found))), *free[:count]})]
+
+
 def _terms(depths: Array) -> Array:
     """Return the log-likelihood of each place, log(WRONG + (1 - WRONG) P(free | depth)), (m,)."""
     free = ndtr(TOLERATED - depths / ACCURACY)

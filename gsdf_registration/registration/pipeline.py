@@ -21,7 +21,7 @@ from gsdf_registration.registration.acceptance import acceptance_message, reject
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import Confidence, assess_at
 from gsdf_registration.registration.evidence import Evidence
-from gsdf_registration.registration.free_space import NO_PLACES, places
+from gsdf_registration.registration.free_space import NO_PLACES, places, start_poses
 from gsdf_registration.registration.input_checks import (
     check_points,
     check_selection,
@@ -34,7 +34,7 @@ from gsdf_registration.registration.point_selection import (
     weights_of_all,
 )
 from gsdf_registration.registration.pose_selection import SelectedPose, select_pose, solve_all
-from gsdf_registration.search.global_search import find_start_poses
+from gsdf_registration.search.global_search import MOST_POSES, START_POSES, find_start_poses
 from gsdf_registration.solver import NO_TOUCHES
 
 
@@ -207,7 +207,8 @@ def find_candidate(points: Array,
     """
     started = perf_counter()
     found = find_start_poses(points, field, config.search, starts[0] if starts else None,
-                             cancelled, progress)
+                             cancelled, progress, MOST_POSES)
+    found = start_poses(found, evidence.air, field, START_POSES)
     searched = perf_counter()
     solutions = solve_all(points, field, [*starts, *found], config, history, cancelled, touches,
                           evidence)

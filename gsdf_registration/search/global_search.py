@@ -44,6 +44,7 @@ CAPTURE_RANGE = 0.02
 # the noise of a tracker, below the size of the features of a bone
 VOXEL = 0.002
 START_POSES = 6         # returned; one of the best few nearly always leads to the pose
+MOST_POSES = 100        # that can be returned
 START_POINTS = 16       # points by which the starts are ranked
 RANKED_STARTS = 4000    # best starts that are refined
 CHUNK = 64              # candidates per task: small enough to balance the load and to cancel soon
@@ -72,7 +73,7 @@ FIRST = Stage(40, (1.0, 0.75, 0.5, 0.35, 0.25), False, 400, 0.85)
 # moderately, including interference, would rank above the pose that fits those on the bone exactly.
 STAGES = (Stage(100, (0.3, 0.25, 0.2, 0.15, 0.1, 0.075), False, 600, 0.95),
           Stage(150, (0.15, 0.1, 0.1, 0.05), True, 100, 0.98),
-          Stage(400, (0.1, 0.075, 0.05, 0.05), True, 20, 1.0))
+          Stage(400, (0.1, 0.075, 0.05, 0.05), True, MOST_POSES, 1.0))
 
 
 def find_start_poses(points: Array,
@@ -94,7 +95,7 @@ def find_start_poses(points: Array,
     config : SearchConfig
     T_bone_tracker : (4, 4) float, initial pose to search around; None: search everywhere
     cancelled, progress : as in `register`
-    count : int, maximum number of poses
+    count : int, maximum number of poses, up to `MOST_POSES`
 
     Returns
     -------

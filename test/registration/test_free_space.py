@@ -21,6 +21,7 @@ from gsdf_registration.registration.free_space import (
     blocked,
     log_likelihood,
     places,
+    start_poses,
 )
 
 T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
@@ -115,3 +116,14 @@ def test_the_number_of_places_is_limited() -> None:
 def test_positions_that_are_none_are_an_error(air: list[float]) -> None:
     with pytest.raises(InputError, match='positions in the air must be rows of three finite'):
         places(air)
+
+
+def test_poses_that_the_air_rules_out_leave_as_many_others_to_start_from() -> None:
+    air = at_depth(-0.003, 200)
+    inward = [rigid.from_rt(np.eye(3), [0.01 * k, 0.0, 0.0]) @ T_BONE_TRACKER for k in range(1, 5)]
+    away = [rigid.from_rt(np.eye(3), [1.0 + k, 0.0, 0.0]) @ T_BONE_TRACKER for k in range(4)]
+    found = np.array([*inward, *away])
+    chosen = start_poses(found, air, bone_field(), 3)
+    np.testing.assert_array_equal(chosen, found[[0, 1, 2, 4, 5, 6]])
+    np.testing.assert_array_equal(start_poses(found, air[:0], bone_field(), 3), found[:3])
+    np.testing.assert_array_equal(start_poses(found[:1], air, bone_field(), 3), found[:1])
