@@ -9,7 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.rigid import Array, exp, inverse, transform
+from gsdf_registration.common.rigid import (
+    Array,
+    exp,
+    inverse,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    transform,
+)
 from gsdf_registration.common.samples import Rejection, Sample
 from gsdf_registration.simulation.moving import Sway
 from gsdf_registration.tracking.frames import Frames
@@ -328,3 +335,31 @@ def test_every_point_is_added_or_rejected_once(events: list[tuple[str, float]]) 
     transformer.finish()
     decided = [*sink.added, *(sample for sample, _ in sink.rejected)]
     assert sorted(sample.topic for sample in decided) == sorted(topics)
+
+
+def test_a_tool_fixed_to_a_moving_bone_has_one_pose_in_the_array_frame() -> None:
+    transformer, sink = make_transformer()
+    T_array_tool = exp([0.3, -0.2, 0.1, 0.0, 0.0, 0.1])
+    for stamp in np.arange(0.0, 2.0, 0.01).tolist():
+        transformer.add_pose(stamp, SWAY.pose(stamp), 'camera')
+    for stamp in np.arange(0.005, 1.9, 0.05).tolist():
+        T = SWAY.pose(stamp) @ T_array_tool
+        x, y, z = T[:3, 3].tolist()
+        qx, qy, qz, qw = quaternion_from_rotation(T[:3, :3]).tolist()
+        transformer.add_point(Sample(stamp, (x, y, z), 'camera', '/tool',
+                                     tool=(x, y, z, qx, qy, qz, qw)))
+    assert len(sink.added) == 38 and len(sink.reference_poses) == 200
+    for each in sink.added:
+        assert each.tool is not None and each.tool[:3] == each.position
+        assert np.allclose(each.position, T_array_tool[:3, 3], atol=1e-6)
+        turn = rotation_from_quaternion(each.tool[3:])
+        assert np.allclose(turn, T_array_tool[:3, :3], atol=1e-6)
+
+
+def test_a_calibration_takes_samples_before_they_are_transformed() -> None:
+    transformer, sink = make_transformer()      # there is no pose of the array
+    sink.calibrating = True
+    transformer.add_point(Sample(1.0, (1.0, 2.0, 3.0), 'camera', '/tool'))
+    transformer.finish()
+    assert [each.position for each in sink.taken] == [(1.0, 2.0, 3.0)]
+    assert not sink.added and not sink.rejected
