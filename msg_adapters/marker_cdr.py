@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Serialize a MarkerArray directly from arrays.
+Serialize a MarkerArray directly from arrays, and read it into arrays.
 
 rclpy needs a Python object for each corner of a triangle. While it converts those of a bone, it
-holds the GIL, which delays points and the live pose. Publishers also accept serialized messages.
+holds the GIL, which delays points and the live pose. Publishers also accept serialized messages,
+and subscriptions return them.
 """
 
 from __future__ import annotations
@@ -12,10 +13,16 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
-from gsdf_registration.common.rigid import Array, quaternion_from_rotation
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import (
+    Array,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+)
 
 
 class Shape(IntEnum):
@@ -98,6 +105,84 @@ def _write(cdr: _Cdr, marker: Marker, frame_id: str) -> None:
     cdr.text('')                                # mesh: resource, file, materials
     cdr.text('')
     cdr.pack('I?', 0, False)
+
+
+def from_bytes(message: bytes) -> list[Marker]:
+    """
+    Return the markers of a serialized visualization_msgs/MarkerArray, without the deleted ones.
+
+    Raises
+    ------
+    InputError
+        If it is not one.
+
+    """
+    try:
+        reader = _Reader(message)
+        found = [_read(reader) for _ in range(reader.unpack('I')[0])]
+    except (struct.error, ValueError, UnicodeDecodeError) as error:
+        raise InputError(f'a message is not a MarkerArray: {error}') from None
+    return [marker for marker in found if marker.action == ADD]
+
+
+def _read(cdr: _Reader) -> Marker:
+    """Read the fields that `_write` writes; a shape that is not in `Shape` becomes None."""
+    cdr.unpack('iI')
+    cdr.text()
+    ns = cdr.text()
+    number, kind, action = cdr.unpack('iii')
+    x, y, z, *quaternion = cdr.unpack('3d4d')
+    scale, one = cdr.unpack('3d'), np.array(cdr.unpack('4f'))
+    cdr.unpack('iI?')
+    points, each = cdr.array('<f8', 3), cdr.array('<f4', 4)
+    cdr.text()
+    cdr.unpack('iI')
+    cdr.text()
+    cdr.text()
+    cdr.unpack('I')
+    cdr.array('<f4', 2)
+    text = cdr.text()
+    cdr.text()
+    cdr.text()
+    cdr.unpack('I')
+    cdr.unpack('?')
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_from_quaternion(quaternion), (x, y, z)
+    return Marker(ns, number, Shape(kind) if kind in list(Shape) else None, scale, pose, points,
+                  each if len(each) else one, text, action)
+
+
+class _Reader:
+    """Plain CDR, little endian, as `_Cdr`."""
+
+    def __init__(self, message: bytes) -> None:
+        self._data, self._at = memoryview(message)[4:], 0
+
+    def unpack(self, kinds: str) -> tuple[Any, ...]:
+        """Read numbers; ``kinds`` is a struct format with sizes that do not increase."""
+        self._align(struct.calcsize(kinds.lstrip('0123456789')[0]))
+        values = struct.unpack_from('<' + kinds, self._data, self._at)
+        self._at += struct.calcsize('<' + kinds)
+        return values
+
+    def text(self) -> str:
+        size, = self.unpack('I')
+        encoded = bytes(self._data[self._at:self._at + size])
+        self._at += size
+        return encoded.rstrip(b'\x00').decode()
+
+    def array(self, kind: str, columns: int) -> Array:
+        """Read a sequence of structures of ``columns`` numbers of one type, (n, columns)."""
+        rows, = self.unpack('I')
+        if not rows:
+            return np.zeros((0, columns))
+        self._align(np.dtype(kind).itemsize)
+        found = np.frombuffer(self._data, kind, rows * columns, self._at)
+        self._at += found.nbytes
+        return found.reshape(rows, columns).astype(np.float64)
+
+    def _align(self, size: int) -> None:
+        self._at += -self._at % size
 
 
 class _Cdr:

@@ -11,10 +11,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from gsdf_registration.common.result import InputError
 from gsdf_registration.node.scene import MAX_FACES
 from gsdf_registration.visualization.decimation import decimate
 from msg_adapters import markers
-from msg_adapters.marker_cdr import Shape, to_bytes
+from msg_adapters.marker_cdr import Shape, from_bytes, to_bytes
 
 GREEN = np.array([0.0, 0.65, 0.46])
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.2, 0.0]])
@@ -54,6 +55,29 @@ def test_serialization_agrees_with_rclpy(frame_id: str, labels: list[str]) -> No
                        action=read.action, pose=read.pose, scale=read.scale, color=read.color,
                        points=read.points, colors=read.colors, frame_locked=True)
         assert read == plain        # all other fields have their defaults
+
+
+def test_reading_returns_what_was_written() -> None:
+    segments = np.arange(12.0).reshape(2, 2, 3)
+    written = [*markers.bone(TRIANGLE, FACE, np.eye(3)), *markers.border(segments, np.eye(3)[0]),
+               *markers.patches(np.eye(3)[:1], np.eye(3)[2:], 0.008, ['1: 0.4 mm'], np.ones(3)),
+               *markers.points(np.zeros((0, 3)), np.zeros((0, 3)))]
+    read = from_bytes(to_bytes(written, 'bone'))
+    assert [(each.ns, each.id, each.shape, each.text) for each in read] == [
+        (each.ns, each.id, each.shape, each.text) for each in written if each.shape is not None]
+    for one, other in zip(read, (each for each in written if each.shape is not None)):
+        np.testing.assert_allclose(one.pose, np.eye(4) if other.pose is None else other.pose,
+                                   atol=1e-12)
+        np.testing.assert_array_equal(one.points, np.zeros((0, 3)) if other.points is None
+                                      else other.points)
+        assert one.scale == other.scale
+
+
+def test_reading_rejects_what_is_no_marker_array() -> None:
+    whole = to_bytes(markers.bone(TRIANGLE, FACE, np.eye(3)), 'bone')
+    for part in (b'', whole[:40], whole[:-1]):
+        with pytest.raises(InputError, match='is not a MarkerArray'):
+            from_bytes(part)
 
 
 def test_shapes_have_the_values_of_ros() -> None:
