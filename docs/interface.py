@@ -37,7 +37,10 @@ BEGIN, END = '<!-- written by docs/interface.py -->', '<!-- end of what it write
 PARAMETERS = {'probe.topics': "['/probe/tip']", 'probe.frame_id': 'tracker',
               'reference.topic': '/reference/pose'}
 SUBSCRIBED = {
-    '/probe/tip': 'tip of the probe: each of `probe.topics`, best effort or reliable',
+    '/probe/tip': 'each of `probe.topics`, best effort or reliable: positions of the tip, or '
+                  'poses of the tool as PoseStamped, PoseWithCovarianceStamped or '
+                  'TransformStamped, whichever is published (`probe.type`); for poses see '
+                  '`probe.tip`',
     '/reference/pose': 'pose of the reference array: `reference.topic`, if set; points are '
                        'transformed into its frame at their own stamp',
     '/tf': 'for points in a frame other than `probe.frame_id`, if that is set',
@@ -87,6 +90,9 @@ STATUS = {
     'pose': '`none`, or `in` the frame of the accepted registration',
     'withdrawn': 'why the last pose is withdrawn, see [pose_lifetime.md](pose_lifetime.md); empty '
                  'if there was none',
+    'calibration': '`calibrate_tip` or `find_joint_centre` while that runs; else empty',
+    'calibration.poses': 'poses received since its start; absent while none runs',
+    'calibration.angle_deg': 'largest rotation since its start, degrees; absent while none runs',
     'used': 'points used by the accepted registration',
     'inliers': 'points among them that lie on the bone',
     'predicted_tre_m.*': 'expected error at each target, over the bone (`rms`) and its maximum '

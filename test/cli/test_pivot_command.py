@@ -21,6 +21,7 @@ from gsdf_registration.simulation.pivoting import (
     pivoting,
 )
 from msg_adapters.bag_writer import BagWriter
+from msg_adapters.settings_file import read_config
 
 KEYS = {'schema', 'success', 'reason', 'message', 'tip_m', 'pivot_m', 'covariance',
         'expected_error_m', 'residual_rms_m', 'angle_range_deg', 'angle_ranges_xyz_deg', 'poses',
@@ -205,3 +206,17 @@ def test_bad_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture
         assert main(['pivot', *map(str, args)]) == 2, args
         error = capsys.readouterr().err
         assert words in error and len(error.splitlines()) == 1, (args, error)
+
+
+def test_writes_the_tip_as_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csv, out = write_csv(tmp_path / 'pivot.csv', record()), tmp_path / 'tip.yaml'
+    words = ['pivot', str(csv), '--unit', 'mm', '-o', str(out)]
+    assert main(words) == 0 and f'tip written to {out}' in capsys.readouterr().out
+    assert np.linalg.norm(np.array(read_config(str(out)).probe.tip) - TIP) < 3e-4
+    assert main(words) == 0 and 'is kept as' in capsys.readouterr().out
+    still = write_csv(tmp_path / 'still.csv', record(turning=Turning(0.0, 0.0)))
+    before = out.read_text()
+    assert main(['pivot', str(still), '--unit', 'mm', '-o', str(out)]) == 1
+    assert out.read_text() == before and 'tip written' not in capsys.readouterr().out
+    assert main(['pivot', str(csv), '--unit', 'mm', '-o', str(csv)]) == 2
+    assert 'ends with .yaml' in capsys.readouterr().err
