@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from smooth_bone import T_TRACKER_BONE, on_plate, plate_field
 
 from gsdf_registration.common.config import Config, GateConfig
-from gsdf_registration.common.result import Reason
+from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.common.samples import Points, Rejection, Sample, without_tools
 from gsdf_registration.session import Session
@@ -25,6 +26,8 @@ from gsdf_registration.session.air import (
     with_tip,
 )
 from gsdf_registration.session.events import Replay
+from msg_adapters.session_file import read_session, write_session
+from msg_adapters.session_journal import SessionJournal, read_journal
 
 GATE = GateConfig()
 AIR = Rejection.NOT_COLLECTING
@@ -196,3 +199,40 @@ def test_the_air_is_in_the_record_and_in_the_events(operated: Any) -> None:
     np.testing.assert_array_equal(other.air(), session.air())
     other.clear()
     assert len(other.air()) == 0
+
+
+def test_the_air_is_in_the_session_file_and_in_the_journal(operated: Any, tmp_path: Path) -> None:
+    session, _ = operated
+    write_session(tmp_path / 'session.json', session.to_dict())
+    assert read_session(tmp_path / 'session.json')['air'] == session.to_dict()['air']
+    journal, replay = SessionJournal(tmp_path / 'journal', pytest.fail), Replay()
+    other = Session(Config(), plate_field())
+    other.listen(journal)
+    operate(other)
+    journal.close()
+    assert read_journal(tmp_path / 'journal', replay.apply) == ''
+    assert replay.session['air'] == other.to_dict()['air'] != []
+
+
+@pytest.mark.parametrize('row', [[0.0, 0.0], [0.0, 0.0, float('nan')], [0.0, 0.0, 1e9],
+                                 [0.0] * 10, 'abc', 3.0])
+def test_a_session_with_a_damaged_position_in_the_air_is_not_loaded(operated: Any,
+                                                                    row: Any) -> None:
+    with pytest.raises(InputError, match='the session is damaged'):
+        Session(Config(), plate_field()).restore(operated[0].to_dict() | {'air': [row]})
+
+
+def test_a_tip_that_is_set_later_moves_the_air_of_the_session() -> None:
+    session, replay = Session(Config.from_flat({'collect.automatic': False}), None), Replay()
+    session.listen(replay.apply)
+    for k in range(40):
+        session.collect(k < 20)
+        at = (0.0, 0.0, 0.002 * k)
+        session.add(Sample(0.02 * k, at, 'tracker', 'tool', tool=(*at, 0.0, 0.0, 0.0, 1.0)))
+    before = session.air()
+    session.configure(session.config.replaced({'probe.tip': [0.01, 0.0, 0.0]}))
+    np.testing.assert_allclose(session.air(), before + [0.01, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose([row[:3] for row in replay.session['air']], session.air(),
+                               atol=1e-12)
+    session.configure(session.config.replaced({'probe.shaft': [0.0, 0.0, 1.0]}))
+    assert len(session.air()) > 10 * len(before)
