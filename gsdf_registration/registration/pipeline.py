@@ -28,12 +28,13 @@ from gsdf_registration.registration.input_checks import (
     initial_guess,
 )
 from gsdf_registration.registration.landmark_evidence import fuse, mistakes
+from gsdf_registration.registration.local_solutions import solve_all
 from gsdf_registration.registration.point_selection import (
     PointSelection,
     select_points,
     weights_of_all,
 )
-from gsdf_registration.registration.pose_selection import SelectedPose, select_pose, solve_all
+from gsdf_registration.registration.pose_selection import SelectedPose, select_pose
 from gsdf_registration.search.global_search import MOST_POSES, START_POSES, find_start_poses
 from gsdf_registration.solver import NO_TOUCHES
 

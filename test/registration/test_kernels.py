@@ -49,6 +49,7 @@ def test_a_registration_needs_no_kernel_that_is_not_compiled_ahead(
     field = build_field(make_bone(*hip_surface, None), 0.003)
     assert field.faces.size
     points = transform(T_TRACKER_BONE, touched_points(500, 0, 3e-4))
+    points.flags.writeable = False      # as those of a session
     points = points[select_points(points).rows]
     config = Config.from_flat({'search.rotations': 100, 'search.places': 10})
     candidate = find_candidate(points, bone_field(), config)

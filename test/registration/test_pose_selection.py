@@ -11,7 +11,8 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.registration.evidence import Evidence
-from gsdf_registration.registration.pose_selection import SAME_MINIMUM, select_pose, solve_all
+from gsdf_registration.registration.local_solutions import SAME_MINIMUM, solve_all
+from gsdf_registration.registration.pose_selection import select_pose
 from gsdf_registration.solver import solve
 
 CONFIG = Config()
