@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from smooth_bone import T_TRACKER_BONE, bone_field
+from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common import rigid
-from gsdf_registration.common.result import InputError
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.free_space import (
@@ -23,6 +24,7 @@ from gsdf_registration.registration.free_space import (
     places,
     start_poses,
 )
+from gsdf_registration.registration.pipeline import register
 
 T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -127,3 +129,26 @@ def test_poses_that_the_air_rules_out_leave_as_many_others_to_start_from() -> No
     np.testing.assert_array_equal(chosen, found[[0, 1, 2, 4, 5, 6]])
     np.testing.assert_array_equal(start_poses(found, air[:0], bone_field(), 3), found[:3])
     np.testing.assert_array_equal(start_poses(found[:1], air, bone_field(), 3), found[:1])
+
+
+def test_air_outside_the_bone_does_not_change_the_pose() -> None:
+    points = rigid.transform(T_TRACKER_BONE, touched_points(400, 0, 3e-4))
+    config = Config.from_flat({'search.rotations': 40})
+    without = register(points, bone_field(), config)
+    found = register(points, bone_field(), config, air=at_depth(-0.004, 300))
+    assert found.success and without.T_tracker_bone is not None
+    np.testing.assert_allclose(found.T_tracker_bone, without.T_tracker_bone, atol=1e-5)
+
+
+def test_a_pose_with_the_air_inside_the_bone_is_refused() -> None:
+    points = rigid.transform(T_TRACKER_BONE, touched_points(400, 0, 3e-4))
+    result = register(points, bone_field(), Config.from_flat({'search.rotations': 40}),
+                      air=at_depth(0.01, 300))
+    assert result.reason is Reason.MODEL_MISMATCH
+    assert 'the probe has been where the bone would be' in result.message
+
+
+def test_air_that_is_no_positions_is_refused_with_one_sentence() -> None:
+    result = register(touched_points(400), bone_field(), air=[[1.0, 2.0]])
+    assert result.reason is Reason.BAD_INPUT
+    assert result.message.startswith('positions in the air must be rows of three finite numbers')
