@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from gsdf_registration.common.command_line import Parser, example, run_command
 
 BENCHMARKS = ('field', 'solve', 'search', 'trust', 'paper', 'guided', 'live', 'pivot', 'air',
-              'fixtures')
+              'landmarks', 'fixtures')
 
 
 def make_parser() -> Parser:

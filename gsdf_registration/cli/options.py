@@ -7,7 +7,8 @@ import argparse
 
 from gsdf_registration.common.command_line import three_numbers
 
-MODEL_HELP = 'bone model: STL, PLY, OBJ, OFF, a .gsdf field, or a point cloud with normals'
+MODEL_HELP = ('bone model: a mesh (STL, PLY, OBJ, OFF, 3MF, GLB, VTK, VTP), a segmentation (NIfTI, '
+              'NRRD, DICOM SEG), a .gsdf field, or a point cloud with normals')
 
 
 def add_registration_options(parser: argparse.ArgumentParser) -> None:
@@ -38,11 +39,12 @@ def add_registration_options(parser: argparse.ArgumentParser) -> None:
 
 def add_start_options(parser: argparse.ArgumentParser) -> None:
     """Add the model unit, the initial guess and the settings."""
-    parser.add_argument('--model-unit', choices=('mm', 'm'),
-                        help='unit of the lengths in MODEL (default: mm)')
+    add_model_options(parser)
     parser.add_argument('--landmarks', metavar='FILE', action='append',
                         help='touched landmarks as the initial guess: CSV with the columns '
-                        'name, model_x, model_y, model_z, tracker_x, tracker_y, tracker_z, or the '
+                        'name, model_x, model_y, model_z, tracker_x, tracker_y, tracker_z and, for '
+                        'measurements of the pose, sigma (standard deviation along each axis, in '
+                        'the unit of the tracker columns); or the '
                         'ground truth YAML of a recording; or, given twice, two point lists of '
                         'Slicer (.mrk.json, .fcsv) with the same labels, first that on the model, '
                         'then the touched points')
@@ -58,3 +60,13 @@ def add_start_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--config', metavar='YAML', action='append',
                         help='settings, as in config/registration.yaml; may be repeated, as for '
                         'the tip that gsdf pivot writes')
+
+
+def add_model_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says how to read MODEL."""
+    parser.add_argument('--model-unit', choices=('mm', 'm'),
+                        help='unit of the lengths in MODEL (default: mm)')
+    parser.add_argument('--label', metavar='N|NAME',
+                        help='label of the bone, if MODEL is a segmentation with several')
+    parser.add_argument('--body', metavar='N|largest',
+                        help='which bone, if MODEL is a mesh of several bones; or all, as one')

@@ -114,7 +114,8 @@ def _search(points: Array, toward: Array, rng: np.random.Generator,
         if count > best:
             best, found = count, (centre, radius)
         if k % BATCH == 0:
-            progress(k / max(int(valid.sum()), 1))
+            progress(k / int(valid.sum()))
+    progress(1.0)
     return found
 
 
@@ -143,3 +144,20 @@ def _on_sphere(points: Array, toward: Array, centre: Array, radius: float) -> ND
     away = np.linalg.norm(ray, axis=1)
     return np.asarray((np.abs(away - radius) < TOLERANCE)
                       & ((ray * toward).sum(axis=1) > FACING * away))
+
+
+def extreme_points(field: Field) -> Array:
+    """
+    Return four places (4, 3), m, of the surface that are far from each other.
+
+    The two ends of the bone, the place farthest from the line through them, and the place farthest
+    from the plane through all three: together they determine a pose well.
+    """
+    x = field.surface_points.astype(np.float64)
+    x = x[np.argsort(x @ [1.0, 1e-3, 1e-6], kind='stable')]     # the order of points is no reason
+    first = x[np.argmax(np.linalg.norm(x - x.mean(axis=0), axis=1))]
+    second = x[np.argmax(np.linalg.norm(x - first, axis=1))]
+    along = (second - first) / np.linalg.norm(second - first)
+    third = x[np.argmax(np.linalg.norm(np.cross(x - first, along), axis=1))]
+    normal = np.cross(along, third - first)
+    return np.array([first, second, third, x[np.argmax(np.abs((x - first) @ normal))]])
