@@ -83,6 +83,7 @@ setup(
             'ros-jazzy-ament-cmake-ros==0.12.0',
             'ros-jazzy-python-cmake-module==0.11.1',
         ],
+        'console': ['viser>=1.1'],
         'report': ['matplotlib>=3.7', 'plotly>=5'],
         # OpenIGTLink: PLUS, Slicer
         'igtl': ['pyigtl>=0.3'],
@@ -111,6 +112,7 @@ setup(
         'console_scripts': [
             f'gsdf = {NAME}.cli.main:main',
             f'registration_node = {NAME}.node.main:main',
+            f'registration_console = {NAME}.node.console:main',
         ],
     },
     classifiers=[

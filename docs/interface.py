@@ -56,14 +56,15 @@ PUBLISHED = {
     '~/bone_pose_with_covariance': 'the same with its covariance (REP-103 order, m and rad)',
     '~/live_pose': 'the current estimate, for every point once the estimate is reliable, stamped '
                    'as the newest point used',
+    '~/tip': 'the tip in the frame of the points, for displays; published while it is subscribed',
     '~/result': 'the accepted registration with its accuracy, strokes and landmarks; `valid` '
                 'false: there is no pose, or it is withdrawn, with the reason',
     '~/guidance': 'places to touch next, best first; none: no touch is proposed',
     '~/status': 'state, points kept and rejected by cause, reason, what to do next; on change',
     '/diagnostics': 'the same every second',
     '~/points': 'collected points in the bone frame: x y z residual weight stroke',
-    '~/markers': 'the bone coloured by the expected error, the points by residual, the next place '
-                 'to touch',
+    '~/markers': 'the bone coloured by the error (95 %) with the border of the zone, the points '
+                 'by residual, the next place to touch',
     '/tf': 'frame of the points → `model.frame_id`, re-sent at `tf.rate`, stamped as it is sent; '
            'never on `/tf_static`',
 }

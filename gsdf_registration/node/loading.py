@@ -59,7 +59,7 @@ def _find(path: str) -> None:
 def _load(config: Config) -> Field:
     model = config.model
     try:
-        return load_model(model.path, model.unit, model.voxel_size)
+        return load_model(model.path, model.unit, model.voxel_size, model.label, model.body)
     except InputError as error:
         reason = Reason.NO_MODEL if error.reason is Reason.BAD_INPUT else error.reason
         raise InputError(error.message, reason) from None

@@ -31,6 +31,7 @@ from gsdf_registration.node.services import Services
 from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.sim_clock import SimClock
 from gsdf_registration.node.status import combined_status, not_active, sentence
+from gsdf_registration.node.tip import TipPublisher, create_tip_publisher
 from gsdf_registration.session import Session
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.session import restart_notice
@@ -67,6 +68,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self._outputs: Outputs | None = None
         self._live: LiveWorker | None = None
         self._status = StatusPublisher(self)
+        self._tip = create_tip_publisher(self)
         self._private_services = Services(self)
         self._initial_pose = InitialPoseInput(self)
         self._reloader = ModelReloader(self)
@@ -122,7 +124,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self._reloader.set_current(config.model)
         self.problem = None
         self._outputs = Outputs(self, config)
-        self._inputs = Inputs(self, config, self.session)
+        self._inputs = Inputs(self, config, TipPublisher(self._tip, self.session))
         if not changed.probe.tip:   # the session that is resumed may have one
             changed = changed.replaced({'probe.tip': config.probe.tip})
         if changed != config:   # by a parameter set meanwhile
@@ -373,7 +375,7 @@ class RegistrationNode(PreparedLifecycleNode):
         if self._inputs is None or config.probe.topics == before.probe.topics:
             return self._inputs
         try:
-            return Inputs(self, config, self.session, self._inputs.types)
+            return Inputs(self, config, TipPublisher(self._tip, self.session), self._inputs.types)
         except RCLError as error:       # such as a topic of another type in this process
             raise InputError(f'probe.topics: {error}; {", ".join(before.probe.topics)} is kept'
                              ) from None

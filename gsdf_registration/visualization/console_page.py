@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -60,9 +61,11 @@ ACTIONS = (
     Action('find_joint_centre', 'Find joint centre', 'ROTATE', 'J', often=False),
     Action('save', 'Save session', 'DEVICE_FLOPPY', 'S', often=False),
     Action('load', 'Load session', 'FOLDER_OPEN', None, 'gray',
-           'This replaces the points, landmarks and pose of this session by those of the file.', often=False),
+           'This replaces the points, landmarks and pose of this session by those of the file.',
+           often=False),
     Action('clear', 'Clear', 'TRASH', None, 'red',
-           'This drops all points, landmarks and verification points, and withdraws the pose.', often=False),
+           'This drops all points, landmarks and verification points, and withdraws the pose.',
+           often=False),
 )
 
 
@@ -154,7 +157,7 @@ class ConsolePage:
         if position is None:
             self._ball.visible = False
             return
-        self._ball.position = tuple(float(value) for value in position)
+        self._ball.position = np.asarray(position, dtype=np.float64)
         if not self._ball.visible:
             self._ball.visible = True
 
@@ -180,14 +183,15 @@ class ConsolePage:
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(False)
         scene.add_light_hemisphere('/light/sky', ground_color=(150, 150, 160), intensity=1.6)
-        for number, place in enumerate(((1, -1, 1), (-1, 1, 0.3), (-1, -0.5, -1))):
+        for number, place in enumerate(((1.0, -1.0, 1.0), (-1.0, 1.0, 0.3),
+                                         (-1.0, -0.5, -1.0))):
             scene.add_light_directional(f'/light/{number}', color=(255, 250, 240), intensity=0.9,
-                                        position=tuple(float(value) for value in place))
+                                        position=place)
         scene.set_background_image(np.full((1, 1, 3), 255 * colours.rgb(BACKGROUND),
                                            dtype=np.uint8))
         self._ball = scene.add_icosphere('/tip', TIP, (255, 255, 255), visible=False)
         self._html: dict[str, Any] = {'verdict': gui.add_html('')}
-        self._progress = gui.add_progress_bar(0.0, animated=True, visible=False)
+        self._progress: Any = gui.add_progress_bar(0.0, animated=True, visible=False)
         self._progress_words = gui.add_markdown('')
         self._html['tracking'] = gui.add_html('')
         self._add_buttons(often=True)
@@ -213,10 +217,10 @@ class ConsolePage:
                 continue
             button = gui.add_button(action.label, color=action.color,
                                     icon=getattr(viser.Icon, action.icon), hint=_hint(action))
-            button.on_click(lambda event, action=action: self._press(action, event.client))
+            button.on_click(partial(self._press, action))
             if action.hotkey is not None:
                 command = gui.add_command(action.label, hotkey=action.hotkey)
-                command.on_trigger(lambda event, action=action: self._press(action, event.client))
+                command.on_trigger(partial(self._press, action))
 
     def _add_views(self) -> None:
         gui = self.server.gui
@@ -228,11 +232,11 @@ class ConsolePage:
 
     # ---- actions
 
-    def _press(self, action: Action, client: Any) -> None:
+    def _press(self, action: Action, _: Any) -> None:
         if action.confirm:
             self._ask(action)
         else:
-            self._perform(lambda: self._run(action.name))
+            self.show_answer(*self._run(action.name))
 
     def _ask(self, action: Action) -> None:
         gui = self.server.gui
@@ -246,10 +250,10 @@ class ConsolePage:
         @yes.on_click
         def _(_: Any) -> None:
             modal.close()
-            self._perform(lambda: self._run(action.name))
+            self.show_answer(*self._run(action.name))
 
-    def _perform(self, act: Callable[[], tuple[bool, str]]) -> None:
-        self.show_answer(*act())
+    def _drop(self, number: int, _: Any) -> None:
+        self.show_answer(*self._drop_stroke(number))
 
     # ---- drawing
 
@@ -280,8 +284,7 @@ class ConsolePage:
                 self._stroke_handles.append(gui.add_markdown(f'**Stroke {number}** {sentence}'))
                 if not self._view_only:
                     button = gui.add_button(f'Drop stroke {number}')
-                    button.on_click(lambda _, number=number: self._perform(
-                        lambda: self._drop_stroke(number)))
+                    button.on_click(partial(self._drop, number))
                     self._stroke_handles.append(button)
 
     def _draw(self, name: str, marker: Marker) -> None:
