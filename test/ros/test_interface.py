@@ -47,6 +47,9 @@ def test_describes_every_value_of_the_status(tracker: Tracker) -> None:
     tracker.client.spin_until(lambda: 'tip is' in tracker.client.ask('verify').message,
                               'no verification is possible')
     seen |= set(tracker.client.status())
+    assert tracker.client.ask('calibrate_tip').success
+    seen |= set(tracker.client.status(calibration='calibrate_tip'))
+    assert not tracker.client.ask('calibrate_tip').success      # there are no poses
     seen.remove('message')      # not a key of the values
     assert [value for value in seen if not interface.described(value)] == []
     assert set(map(interface.described, seen)) == interface.STATUS.keys()
