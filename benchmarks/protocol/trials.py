@@ -14,7 +14,7 @@ from itertools import count
 
 import numpy as np
 
-from benchmarks.protocol import hard_cases
+from benchmarks.protocol import hard_cases, touching
 from benchmarks.protocol.cases import KIND, Case, between_scans, bone, region_patch, surface
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
@@ -44,6 +44,10 @@ class Scenario:
     sigma : noise per axis of the tracker, m
     hard : the hard case, a word of `POSSIBLE` or `IMPOSSIBLE`; empty: none
     tip_radius : of a ball tip, m, which rolls along the strokes of `clean`; 0: a sharp tip
+    touches : number of single touches instead of strokes, of which the share of soft tissue is off
+        the bone; 0: strokes
+    landmarks : whether three landmarks, touched 3 mm off, are given
+    rest : m, smallest and largest distance from the bone at which the tip also rests; None: nowhere
     """
 
     name: str
@@ -51,6 +55,9 @@ class Scenario:
     sigma: float | tuple[float, float, float] = SIGMA
     hard: str = ''
     tip_radius: float = 0.0
+    touches: int = 0
+    landmarks: bool = False
+    rest: tuple[float, float] | None = None
 
     @property
     def wrong(self) -> bool:
@@ -78,6 +85,11 @@ SCENARIOS = {scenario.name: scenario for scenario in (
     Scenario('anisotropic', sigma=(3e-4, 5e-4, 7e-4)),
     *(Scenario(f'sigma_{sigma:g}', sigma=sigma * 1e-3) for sigma in (0.15, 0.7, 0.9, 1.2)),
     *(Scenario(f'ball_{radius:g}', tip_radius=radius * 1e-3) for radius in (0.5, 1.0, 1.5)),
+    *(Scenario(f'touches_{count}' + f'_soft_{soft}' * (soft > 0), Interference(
+        soft_tissue=soft / 100), 3e-4, touches=count, landmarks=count < 60)
+      for count in (40, 60) for soft in (0, 10, 20)),
+    *(Scenario(name, sigma=1.5e-4, rest=off) for name, off in (
+        ('rest_on', (0.0, 0.0)), ('rest_beside', (0.001, 0.01)), ('rest_far', (0.05, 0.3)))),
     *(Scenario(word, hard=word) for word in POSSIBLE + IMPOSSIBLE))}
 
 
@@ -173,8 +185,14 @@ def make(trial: Trial) -> Problem:
         patch = hard_cases.other_object(rng)
     elif word == 'other_scan':      # into the frame of the model, which is of another scan
         patch = hard_cases.moved(patch, between_scans(trial.case.bone, trial.model))
-    recording = simulate_scan(patch, points, rng, tracker=tracker,
-                              interference=trial.scenario.interference, T_tracker_bone=T)
+    interference = trial.scenario.interference
+    if trial.scenario.touches:
+        return Problem(trial, field, touching.single_touches(
+            patch, trial.scenario.touches, interference.soft_tissue, tracker, T, rng), patch)
+    recording = simulate_scan(patch, points, rng, tracker=tracker, interference=interference,
+                              T_tracker_bone=T)
+    if trial.scenario.rest:
+        recording = touching.with_rest(recording, patch, trial.scenario.rest, tracker, rng)
     if word == 'model_off':
         recording = hard_cases.with_model_error(recording, field, rng)
     radius = trial.scenario.tip_radius

@@ -16,6 +16,7 @@ from benchmarks.protocol.scoring import (
     verdict,
     well_posed,
 )
+from benchmarks.protocol.touching import touched_landmarks
 from benchmarks.protocol.trials import Problem, Trial, make
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import RegistrationResult
@@ -33,7 +34,9 @@ def run_trial(trial: Trial, config: Config) -> Row:
     """Return the row of a trial: the problem, the answer and its errors; SI units."""
     problem = make(trial)
     config = config.replaced({'probe.tip_radius': trial.scenario.tip_radius})
-    return trial_row(problem, register(problem.recording.positions, problem.field, config), config)
+    result = register(problem.recording.positions, problem.field, config,
+                      landmarks=touched_landmarks(problem))
+    return trial_row(problem, result, config)
 
 
 def trial_row(problem: Problem, result: RegistrationResult, config: Config) -> Row:
@@ -73,6 +76,7 @@ def is_found(problem: Problem, bound: Confidence, result: RegistrationResult,
 
     """
     if result.T_tracker_bone is None:
-        result = register(problem.recording.positions, problem.field, config.replaced(LENIENT))
+        result = register(problem.recording.positions, problem.field, config.replaced(LENIENT),
+                          landmarks=touched_landmarks(problem))
     return (result.T_tracker_bone is not None
             and pose_errors(result.T_tracker_bone, problem, bound).tre_region_m < NEAR_TRUTH)
