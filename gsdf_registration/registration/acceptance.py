@@ -17,6 +17,7 @@ from gsdf_registration.registration.candidate import Candidate
 from gsdf_registration.registration.free_space import Blocked
 from gsdf_registration.registration.guidance import distinguishing_touch, next_touches
 from gsdf_registration.registration.landmarks import MIN_LANDMARKS, named_points
+from gsdf_registration.registration.surface_offset import FITTING_CORRELATION, find_offset
 from gsdf_registration.registration.wording import describe_place
 from gsdf_registration.registration.zone import required_part
 
@@ -62,6 +63,39 @@ def rejection_reasons(candidate: Candidate, points: Array, field: Field,
                       f'the solver did not converge: {candidate.solution.termination}; touch more '
                       'of the bone or start from landmarks')
     yield from _check_error(candidate, touched, field, config)
+
+
+def verdict(candidate: Candidate, refusal: Refusal | None, points: Array, field: Field,
+            config: Config) -> tuple[Reason, str]:
+    """
+    Return reason and message of the result.
+
+    If the points fit the bone moved outward or inward, that is the reason of a refusal, and a
+    remark on an accepted pose.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    refusal : the first of `rejection_reasons`; None: there is none
+    points, field, config : as in `rejection_reasons`
+
+    """
+    offset = (find_offset(candidate.solution, points, field, config)
+              if _fits_badly(candidate) else None)
+    if refusal is None:
+        message = acceptance_message(candidate)
+        return Reason.CONVERGED, message if offset is None else f'{message}; {offset.sentence}'
+    if offset is None:
+        return refusal.reason, refusal.message
+    return Reason.MODEL_MISMATCH, offset.sentence
+
+
+def _fits_badly(candidate: Candidate) -> bool:
+    """Return whether an offset is worth a search: points lie off the bone, or residuals agree."""
+    confidence = candidate.confidence
+    return candidate.solution.estimates is not None and confidence is not None and (
+        candidate.inliers < CLEAR_INLIERS * candidate.used or confidence.model_sd > 0.0
+        or confidence.residual_correlation > FITTING_CORRELATION)
 
 
 def _check_inliers(candidate: Candidate, limits: LimitsConfig) -> Iterator[Refusal]:

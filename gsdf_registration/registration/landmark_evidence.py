@@ -39,6 +39,7 @@ from gsdf_registration.solver import Solution
 # of a thousand is
 MISTAKE = 4.0
 OUTLIER = 3.0       # standard deviations of a point that hardly counts while a pose slides
+ON_BONE = 0.003     # m: a landmark so near to the surface is one that is touched
 MOST_MISTAKES = 3   # that are found at once; more are found one after the other
 # Log-likelihood that a mistake costs a pose. A landmark that fits costs at most half the square of
 # `MISTAKE`, 8, so one that fits decides between two poses that fit the points alike, for which the
@@ -54,6 +55,20 @@ def log_likelihood(landmarks: Landmarks, T_bone_tracker: Array) -> float:
     residual = rigid.transform(T_bone_tracker, landmarks.touched) - landmarks.model
     squared = (residual**2).sum(axis=1) / landmarks.sigmas**2
     return -float(np.minimum(0.5 * squared, MISTAKE_COST).sum())
+
+
+def for_tip(landmarks: Landmarks, field: Field) -> Landmarks:
+    """
+    Return the landmarks where the centre of the ball tip is while the ball touches them.
+
+    A joint centre is not on the surface: it stays.
+    """
+    if field.tip_radius == 0.0 or not len(landmarks):
+        return landmarks
+    distance, outward = field.sample(landmarks.model)
+    on_bone = np.abs(distance + field.tip_radius) < ON_BONE
+    return replace(landmarks, model=landmarks.model
+                   - np.where(on_bone, distance, 0.0)[:, None] * outward)
 
 
 def fuse(solution: Solution, confidence: Confidence, points: Array, field: Field,

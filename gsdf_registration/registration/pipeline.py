@@ -14,10 +14,10 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
-from gsdf_registration.common.result import Reason, Refusal, RegistrationResult, as_numbers
+from gsdf_registration.common.result import Refusal, RegistrationResult, as_numbers
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.registration.acceptance import acceptance_message, rejection_reasons
+from gsdf_registration.registration.acceptance import rejection_reasons, verdict
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import Confidence, assess_at
 from gsdf_registration.registration.evidence import Evidence
@@ -27,7 +27,7 @@ from gsdf_registration.registration.input_checks import (
     check_selection,
     initial_guess,
 )
-from gsdf_registration.registration.landmark_evidence import fuse, mistakes
+from gsdf_registration.registration.landmark_evidence import for_tip, fuse, mistakes
 from gsdf_registration.registration.local_solutions import solve_all
 from gsdf_registration.registration.point_selection import (
     PointSelection,
@@ -86,7 +86,7 @@ def register(points: ArrayLike,
         points = as_numbers(points, 'points')
         received = len(points) if points.ndim else 0
         check_points(points, config.limits)
-        evidence = _evidence(landmarks, air)
+        evidence = _evidence(landmarks, air, field)
         guess = initial_guess(evidence.landmarks, T_tracker_bone)
         selection = select_points(points, config.collect.mode)
         check_selection(selection, points, field, config.limits)
@@ -98,8 +98,7 @@ def register(points: ArrayLike,
                 break
     except Refusal as error:
         return RegistrationResult.refused(error.reason, error.message, received=received)
-    reason, message = ((Reason.CONVERGED, acceptance_message(candidate)) if refusal is None
-                       else (refusal.reason, refusal.message))
+    reason, message = verdict(candidate, refusal, used.positions, field, config)
     message = '; '.join(filter(None, (message, mistakes(candidate.selected.landmarks))))
     result = candidate.to_result(reason, message, used.rows, received)
     result = _with_points_left_out(result, candidate, points, used, field)
@@ -129,13 +128,13 @@ def _with_points_left_out(result: RegistrationResult, candidate: Candidate, poin
 
 
 def _evidence(landmarks: Landmarks | tuple[ArrayLike, ArrayLike] | None,
-              air: ArrayLike | None) -> Evidence:
+              air: ArrayLike | None, field: Field) -> Evidence:
     """Return the evidence given to `register`; raise `InputError` if it is not valid."""
     if landmarks is None:
         landmarks = NO_LANDMARKS
     elif not isinstance(landmarks, Landmarks):
         landmarks = Landmarks.of(*landmarks)
-    return Evidence(landmarks, NO_PLACES if air is None else places(air))
+    return Evidence(for_tip(landmarks, field), NO_PLACES if air is None else places(air))
 
 
 def _with_landmarks(selected: SelectedPose, confidence: Confidence | None, points: Array,
