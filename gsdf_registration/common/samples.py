@@ -95,8 +95,7 @@ class Points(NamedTuple):
     stamps: Array           # (n,) s, clock of the sender
     strokes: np.ndarray     # (n,) int32 from 1, with gaps after an undo, rising within a source
     sources: np.ndarray     # (n,) int32, index of the topic
-    # (n, 7) poses of the tool, see `tool_pose`; NaN: the tip was received
-    tools: Array = np.empty((0, 7))
+    tools: Array            # (n, 7) poses of the tool, see `tool_pose`; NaN: the tip was received
 
 
 def without_tools(positions: Array, stamps: Array, strokes: np.ndarray,

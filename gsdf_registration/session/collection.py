@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import MAX_COORDINATE
-from gsdf_registration.common.samples import Points, Position, Rejection, Sample, without_tools
+from gsdf_registration.common.samples import Points, Position, Rejection, Sample
 from gsdf_registration.common.tool_pose import is_valid, tip_positions
 from gsdf_registration.session.tip_stream import TipStream
 
@@ -290,8 +290,6 @@ class Collection:
             raise InputError(f'the points are in frame "{frame_id}", but probe.frame_id is '
                              f'"{expected}"')
         self.clear(expected if frame_id is None else frame_id)
-        if len(points.tools) < len(points.stamps):
-            points = without_tools(*points[:4])
         size = len(points.stamps)
         self._store(points, self._next_serial + np.arange(size))
         self._next_serial += size

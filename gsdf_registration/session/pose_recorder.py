@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.tool_pose import ToolPose
 
-MAX_POSES = 20_000      # five minutes at 60 Hz; of more, every other one is kept
+MAX_POSES = 6000    # 100 s at 60 Hz; of more, every other one is kept: a search takes about 1 s
 
 
 class PoseRecorder:

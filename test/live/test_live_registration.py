@@ -14,7 +14,7 @@ from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import Reason
 from gsdf_registration.common.rigid import Array, exp, transform
-from gsdf_registration.common.samples import Points
+from gsdf_registration.common.samples import Points, without_tools
 from gsdf_registration.field import Field
 from gsdf_registration.field.model import load_model
 from gsdf_registration.live import LivePose, LiveRegistration, LiveStatus
@@ -57,8 +57,8 @@ def hip_steps(hip: Field, optical_recording: tuple[Recording, Truth]) -> tuple[L
 
 def points_of(positions: Array, stroke: int = 0) -> Points:
     count = len(positions)
-    return Points(positions, 1e3 + np.arange(count) / 80.0, np.full(count, stroke, np.int32),
-                  np.zeros(count, np.int32))
+    return without_tools(positions, 1e3 + np.arange(count) / 80.0, np.full(count, stroke, np.int32),
+                         np.zeros(count, np.int32))
 
 
 def run(live: LiveRegistration, positions: Array, revision: int = 1) -> list[Step]:

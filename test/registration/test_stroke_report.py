@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gsdf_registration.common.samples import Points
+from gsdf_registration.common.samples import Points, without_tools
 from gsdf_registration.registration.stroke_report import (
     MIN_POINTS,
     StrokeReport,
@@ -17,8 +17,8 @@ from gsdf_registration.registration.stroke_report import (
 
 def points(strokes: list[int]) -> Points:
     n = len(strokes)
-    return Points(np.arange(3.0 * n).reshape(n, 3), np.arange(n, dtype=float),
-                  np.array(strokes, np.int32), np.zeros(n, np.int32))
+    return without_tools(np.arange(3.0 * n).reshape(n, 3), np.arange(n, dtype=float),
+                         np.array(strokes, np.int32), np.zeros(n, np.int32))
 
 
 def test_reports_share_and_residual_of_each_stroke() -> None:
@@ -54,8 +54,8 @@ def test_isolated_points_are_not_on_the_bone() -> None:
 
 def test_a_repeated_stroke_has_the_same_report() -> None:
     once = points([1] * 30)
-    twice = Points(np.tile(once.positions, (2, 1)), np.arange(60.0),
-                   np.repeat(np.array([1, 2], np.int32), 30), np.zeros(60, np.int32))
+    twice = without_tools(np.tile(once.positions, (2, 1)), np.arange(60.0),
+                          np.repeat(np.array([1, 2], np.int32), 30), np.zeros(60, np.int32))
     # a registration does not use repeated readings
     first, again = report_strokes(twice, np.r_[np.full(30, 2e-4), np.full(30, np.nan)],
                           np.r_[np.ones(30), np.zeros(30)])

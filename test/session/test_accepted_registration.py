@@ -8,7 +8,7 @@ import pytest
 from session_fixtures import T_TRACKER_BONE
 
 from gsdf_registration.common.result import Reason, RegistrationResult
-from gsdf_registration.common.samples import Points
+from gsdf_registration.common.samples import without_tools
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
 
 SERIALS = np.array([3, 4, 7, 9])
@@ -16,8 +16,8 @@ SERIALS = np.array([3, 4, 7, 9])
 
 @pytest.fixture
 def accepted() -> AcceptedRegistration:
-    points = Points(np.zeros((4, 3)), np.arange(4.0), np.array([1, 1, 2, 2], np.int32),
-                    np.array([0, 0, 1, 1], np.int32))
+    points = without_tools(np.zeros((4, 3)), np.arange(4.0), np.array([1, 1, 2, 2], np.int32),
+                           np.array([0, 0, 1, 1], np.int32))
     result = RegistrationResult(
         Reason.CONVERGED, 'found', T_TRACKER_BONE,
         residuals_m=np.array([1e-4, np.nan, 2e-4, 3e-4]), weights=np.array([1.0, 0.0, 0.5, 1.0]))

@@ -10,7 +10,7 @@ import pytest
 from session_fixtures import CONFIG, T_TRACKER_BONE, sample
 
 from gsdf_registration.common.result import Reason, RegistrationResult
-from gsdf_registration.common.samples import Points, Rejection
+from gsdf_registration.common.samples import Rejection, without_tools
 from gsdf_registration.field import Field
 from gsdf_registration.session import Session
 from gsdf_registration.session.accepted_registration import AcceptedRegistration
@@ -56,8 +56,8 @@ def large(field: Field) -> Session:
     rng = np.random.default_rng(0)
     strokes = np.repeat(np.arange(1, 101), COUNT // 100)
     collection.restore(
-        Points(rng.uniform(size=(COUNT, 3)), np.arange(COUNT) / 4000.0, strokes.astype(np.int32),
-               np.zeros(COUNT, np.int32)), 'tracker', {}, CONFIG)
+        without_tools(rng.uniform(size=(COUNT, 3)), np.arange(COUNT) / 4000.0,
+                      strokes.astype(np.int32), np.zeros(COUNT, np.int32)), 'tracker', {}, CONFIG)
     result = RegistrationResult(
         Reason.CONVERGED, 'registered', T_TRACKER_BONE, np.eye(6), COUNT, 10_000, 10_000,
         residuals_m=np.zeros(COUNT), weights=np.ones(COUNT))
