@@ -71,6 +71,13 @@ class Landmarks:
         """Return the number of landmarks."""
         return len(self.names)
 
+    def equals(self, other: Landmarks) -> bool:
+        """Return whether these are the same landmarks, touched at the same places."""
+        return self.names == other.names and all(
+            np.array_equal(mine, theirs) for mine, theirs in (
+                (self.model, other.model), (self.touched, other.touched),
+                (self.sigmas, other.sigmas)))
+
     @property
     def measured(self) -> Landmarks:
         """Those with a standard deviation: measurements of the pose."""

@@ -16,7 +16,7 @@ from time import monotonic
 from typing import Protocol
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.landmarks import Landmarks
+from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import Cancelled, Refusal, RegistrationResult
 from gsdf_registration.common.rigid import Array, inverse
 from gsdf_registration.common.samples import Points
@@ -31,6 +31,7 @@ from gsdf_registration.live.live_registration import (
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.free_space import NO_PLACES, places
 from gsdf_registration.registration.input_checks import initial_guess
+from gsdf_registration.registration.landmark_evidence import for_tip
 from gsdf_registration.registration.landmarks import MIN_LANDMARKS
 
 # Hz, of the live pose. A follow step takes about 1 ms, so this leaves the other threads their time;
@@ -123,6 +124,7 @@ class LiveWorker:
         self._assessed = (-1, 0)            # revision and count of the points of the last one
         self._assessed_at = 0.0             # s, monotonic; the next two likewise
         self._next_assessment = self._next_search = 0.0
+        self._measured = NO_LANDMARKS       # of the last search, with a standard deviation
         self._pool = ThreadPoolExecutor(1, 'assessment')
         self._thread = threading.Thread(target=self._run, name='live', daemon=True)
         self._thread.start()
@@ -189,11 +191,15 @@ class LiveWorker:
         self._assess_if_due()
 
     def _apply_requests(self) -> None:
-        """Apply changed settings and finished registrations; both allow a search at once."""
+        """Apply changed settings, landmarks and finished registrations: they allow a search."""
         config = self._source.config
         if config is not self._live.config:
             self._live.config = config
             self._next_search = 0.0
+        measured = self._source.landmarks().measured
+        if not measured.equals(self._measured):
+            self._measured, self._live.config = measured, config    # the pose changes
+            self._assessed, self._next_search = (-1, 0), 0.0
         while self._finished:
             self._live.registration_finished(self._finished.popleft())
             self._next_search = 0.0
@@ -240,7 +246,7 @@ class LiveWorker:
         self._next_assessment = now + (2.0 if live.ready else 1.0) / ASSESSMENT_RATE
         self._cancel = threading.Event()
         search = now >= self._next_search and not self._source.solving
-        landmarks = self._source.landmarks()
+        landmarks = for_tip(self._source.landmarks(), self._field)
         evidence = Evidence(landmarks, places(self._source.air()) if search else NO_PLACES)
         job = live.assessment_job(search, self._guess(landmarks), evidence)
         self._assessing = self._pool.submit(self._assess, job, self._cancel)

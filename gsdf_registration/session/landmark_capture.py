@@ -148,8 +148,14 @@ class LandmarkCapture:
             transform(T_tracker_bone, each.model) - each.tracker)) for each in self.captured}
 
     def misplaced(self, T_tracker_bone: Array) -> str:
-        """Return a sentence on the landmark with the largest error, if that is too large."""
-        errors = self.errors(T_tracker_bone)
+        """
+        Return a sentence on the landmark with the largest error, if that is too large.
+
+        Those with a standard deviation are judged by the registration.
+        """
+        guesses = {each.name for each in self.captured if not each.sigma_m}     # no measurements
+        errors = {name: error for name, error in self.errors(T_tracker_bone).items()
+                  if name in guesses}
         name = max(errors, key=errors.__getitem__, default='')
         if not name or errors[name] <= MISPLACED:
             return ''

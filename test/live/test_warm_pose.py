@@ -10,6 +10,7 @@ import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, touched_points, with_model_error
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.rigid import Array, exp, inverse, transform
 from gsdf_registration.live.warm_pose import NEIGHBOURHOOD_TOLERANCE, WarmPose
 from gsdf_registration.registration.confidence import assess_at
@@ -125,3 +126,24 @@ def test_does_nothing_once_it_has_enough_points(points: Array) -> None:
     before = pose.solution
     pose.add(np.repeat(points, 100, axis=0))
     assert pose.solution is before and len(pose._cloud) == 1200
+
+
+def test_landmarks_stay_part_of_the_pose_as_points_are_added(points: Array) -> None:
+    places = np.array([[0.3, 0.0, 0.0], [0.0, 0.0, -0.3]])
+    # a pose that the points alone would not give: the landmarks are 2 mm off
+    marks = Landmarks.of(places, transform(T_TRACKER_BONE, places + [0.0, 0.002, 0.0]),
+                         np.full(2, 3e-4))
+    few, config = points[:800], CONFIG
+    solution = solve(few, bone_field(), NEAR, config.solver)
+    pose = WarmPose(few, bone_field(), solution, config, marks)
+    alone = warm(few)
+    touched = transform(T_TRACKER_BONE, places)
+    shift = apart(pose.solution.T_bone_tracker, alone.solution.T_bone_tracker, touched)
+    assert shift > 2e-4 and [fit.used for fit in pose.landmark_fits] == [True, True]
+    assert pose.covariance is not None and alone.covariance is not None
+    assert np.trace(pose.covariance) < 0.5 * np.trace(alone.covariance)
+    before = pose.solution.T_bone_tracker
+    for point in points[800:1000]:
+        pose.add(point[None])
+    assert apart(pose.solution.T_bone_tracker, before, touched) < 0.5 * shift
+    assert np.trace(pose.covariance) < 0.5 * np.trace(alone.covariance)

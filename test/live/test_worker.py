@@ -14,6 +14,7 @@ import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import Cancelled
 from gsdf_registration.common.rigid import transform
 from gsdf_registration.common.samples import Points, Sample
@@ -204,3 +205,18 @@ def test_searches_around_the_initial_pose_first(recorder: Recorder, session: Ses
     assert session.set_initial_pose(T_TRACKER_BONE).success
     guess = worker._guess()
     assert guess is not None and np.allclose(guess @ T_TRACKER_BONE, np.eye(4))
+
+
+def test_a_landmark_that_is_measured_later_changes_the_pose(
+        recorder: Recorder, session: Session, worker: LiveWorker,
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    fill(session, 1190)
+    recorder.wait_for(lambda: worker.status.ready)
+    before = worker.status.predicted_tre_m['rms']
+    places = np.array([[0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2]])
+    found = Landmarks.of(places, transform(T_TRACKER_BONE, places), np.full(3, 1e-4))
+    monkeypatch.setattr(session, 'landmarks', lambda: found)
+    worker.notify()
+    recorder.wait_for(lambda: worker.status.ready
+                      and worker.status.predicted_tre_m['rms'] < 0.7 * before)
+    assert not recorder.errors

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.result import (
+    LandmarkFit,
     NextTouch,
     Reason,
     RegistrationResult,
@@ -96,6 +98,14 @@ def test_landmarks_are_reported_with_their_miss():
     assert position_of(report.model) == [0.1, 0.0, 0.0]
     assert position_of(report.touched) == LANDMARK.tracker.tolist()
     assert report.miss == pytest.approx(0.005)
+    assert report.sigma == 0.0 and math.isnan(report.deviations) and not report.used
+
+
+def test_a_landmark_that_was_a_measurement_is_reported_against_its_standard_deviation():
+    fit = LandmarkFit('tip', False, 0.001, 0.005, 5.0)
+    measured = dataclasses.replace(ACCEPTED, landmarks=(fit,))
+    report, = sent(results.result_msg(measured, header(), landmarks=[LANDMARK])).landmarks
+    assert (report.sigma, report.deviations, report.used) == (0.001, 5.0, False)
 
 
 def test_the_weakest_direction_is_given_as_a_screw():

@@ -18,7 +18,7 @@ from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.registration.landmark_evidence import log_likelihood, plausible
+from gsdf_registration.registration.landmark_evidence import for_tip, log_likelihood, plausible
 from gsdf_registration.registration.pipeline import register
 
 SIGMA = 0.003
@@ -211,3 +211,14 @@ def test_the_likelihood_falls_with_the_misfit_and_is_bounded(off: list[float],
     assert worse == pytest.approx(log_likelihood(marks.rows(order), shifted))
     if np.linalg.norm(off) > 0.05:
         assert worse < log_likelihood(marks, T)
+
+
+def test_a_ball_tip_touches_a_landmark_with_its_centre() -> None:
+    on_bone, inside = np.array([[0.034, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0]])
+    on_bone = on_bone - bone_field().sample(on_bone)[0][:, None] * bone_field().sample(on_bone)[1]
+    marks = Landmarks.of(np.concatenate([on_bone, inside]), np.zeros((2, 3)))
+    assert for_tip(marks, bone_field()) is marks
+    moved = for_tip(marks, bone_field().for_tip(0.0015))
+    outward = bone_field().sample(on_bone)[1]
+    np.testing.assert_allclose(moved.model[0], on_bone[0] + 0.0015 * outward[0], atol=2e-5)
+    np.testing.assert_array_equal(moved.model[1], inside[0])
