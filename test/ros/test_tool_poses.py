@@ -173,3 +173,23 @@ def test_a_clear_cancels_a_calibration(tool: ToolTracker) -> None:
     assert client.ask('calibrate_tip').success
     assert 'calibration is cancelled' in client.ask('clear').message
     assert 'calibrating' not in client.status(calibration='')['message']
+
+
+def test_follows_the_type_that_is_published(tool: ToolTracker) -> None:
+    client = tool.client
+    assert client.ask('clear').success
+    assert client.set_parameters(Parameter('probe.topics', value=['/other/tool'])) == ''
+    pose = ros.pose_msg(np.eye(4), 'tracker', ros.seconds_to_stamp(1.0))
+    messages = [
+        ros.pose_with_covariance_msg(np.eye(4), np.eye(6), 'tracker', pose.header.stamp),
+        ros.transform_msg(np.eye(4), 'tracker', 'tool', pose.header.stamp),
+        ros.point_msg([0.0, 0.0, 0.0], 'tracker', pose.header.stamp)]
+    try:
+        for message in messages:
+            publisher = reliable(client, type(message), '/other/tool')
+            publisher.publish(message)
+            client.status(received='1')
+            client.node.destroy_publisher(publisher)
+            assert client.ask('clear').success
+    finally:
+        assert client.set_parameters(Parameter('probe.topics', value=['/probe/tip'])) == ''
