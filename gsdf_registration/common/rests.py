@@ -33,8 +33,9 @@ SAME_PLACE = 0.5            # radii between the halves of a rest
 # m, standard deviation of a long rest: the error of the tracker that does not average out
 TRACKER_ERROR = 1e-4
 MEDIAN_VARIANCE = 1.57      # of a median over that of a mean
-# median of the squared second difference of noise over its variance: 6 times that of chi-square (3)
-SECOND_DIFFERENCE = 6.0 * 2.366
+# The noise is that of the smoothest tenth of the path, as half of it may be outliers: the squared
+# second difference of noise is 6 times chi-square (3) times its variance
+SMOOTH, SECOND_DIFFERENCE = 0.1, 6.0 * 0.5844
 
 
 class Rests(NamedTuple):
@@ -72,7 +73,7 @@ def _noise(points: Array) -> float:
     if len(points) < 3:
         return 0.0
     bend = points[2:] - 2.0 * points[1:-1] + points[:-2]
-    return float(np.sqrt(np.median((bend**2).sum(axis=1)) / SECOND_DIFFERENCE))
+    return float(np.sqrt(np.quantile((bend**2).sum(axis=1), SMOOTH) / SECOND_DIFFERENCE))
 
 
 def _stays(points: Array, radius: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -90,7 +91,7 @@ def _assign(points: Array, radius2: float, stay: NDArray[np.int64], total: Array
             count: NDArray[np.int64], last: NDArray[np.int64]) -> int:
     """Fill ``stay``, the sum and number of its positions, and its last one; return how many."""
     number = 0
-    recent = np.full(MEMORY, -1)     # stays, a ring
+    recent = np.full(MEMORY, -1)     # stays
     for k in range(len(points)):
         chosen, least = -1, radius2
         for j in range(MEMORY):
@@ -103,8 +104,13 @@ def _assign(points: Array, radius2: float, stay: NDArray[np.int64], total: Array
             if squared < least:
                 chosen, least = s, squared
         if chosen < 0:
-            chosen = number
-            recent[number % MEMORY] = chosen
+            chosen, oldest = number, 0
+            for j in range(MEMORY):     # outliers must not displace the stay that goes on
+                if recent[j] < 0 or last[recent[j]] < last[recent[oldest]]:
+                    oldest = j
+                if recent[oldest] < 0:
+                    break
+            recent[oldest] = chosen
             number += 1
         stay[k] = chosen
         last[chosen] = k

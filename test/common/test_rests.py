@@ -29,6 +29,15 @@ def test_a_drag_has_no_rests_at_any_rate(sigma: float, per_second: int) -> None:
     assert not len(rests.positions) and (rests.which == -1).all()
 
 
+@pytest.mark.parametrize('share', [0.2, 0.35, 0.45])
+def test_outliers_make_no_rest_of_a_slow_drag(share: float) -> None:
+    rng = np.random.default_rng(5)
+    points = drag(rng, 20_000, 7e-6) + 1.5e-4 * rng.normal(size=(20_000, 3))
+    outliers = rng.random(20_000) < share
+    points[outliers] = rng.uniform(-0.2, 0.2, (outliers.sum(), 3))
+    assert (find_rests(points).which >= 0).mean() < 0.05
+
+
 @pytest.mark.parametrize('sigma', [1.5e-4, 5e-4])
 def test_a_rest_within_a_drag_is_found_with_its_place_and_noise(sigma: float) -> None:
     rng = np.random.default_rng(1)
