@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.field import Field
@@ -34,11 +35,13 @@ class AirPath:
 
     tips : (k, 3) float64, m, between the strokes, in order
     shafts : (k, 3) float64, unit length, from the tip to the hand
+    strokes : (k,) int32, number of the stroke before
     touching_shafts : (n, 3) float64, unit length, for each sample of the recording
     """
 
     tips: Array
     shafts: Array
+    strokes: NDArray[np.int32]
     touching_shafts: Array
 
 
@@ -66,8 +69,9 @@ def simulate_air(recording: SimulatedRecording, patch: Patch, field: Field,
     T = recording.T_tracker_bone
     tips = np.concatenate([np.empty((0, 3)), *(way[0] for way in ways)])
     shafts = np.concatenate([np.empty((0, 3)), *(way[1] for way in ways)])
+    after = np.repeat(numbers[:-1], [len(way[0]) for way in ways])
     touching = np.array(directions)[np.searchsorted(numbers, recording.strokes)]
-    return AirPath(measure(transform(T, tips), tracker, rng), _turned(shafts, T, rng),
+    return AirPath(measure(transform(T, tips), tracker, rng), _turned(shafts, T, rng), after,
                    _turned(touching, T, rng))
 
 

@@ -9,16 +9,18 @@ from time import process_time
 
 import numpy as np
 
-from benchmarks.air.path import SHAFT, AirPath, along_shaft, simulate_air
+from benchmarks.air.path import AirPath, simulate_air
 from benchmarks.execution.result_table import Row
 from benchmarks.protocol import hard_cases
 from benchmarks.protocol.cases import Case, bone, region_patch, surface
 from gsdf_registration.common import rigid
-from gsdf_registration.common.config import Config
+from gsdf_registration.common.config import Config, GateConfig
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.samples import Points, Rejection, Sample
 from gsdf_registration.field import Field
 from gsdf_registration.registration.pipeline import register
+from gsdf_registration.session.air import Air, positions
 from gsdf_registration.simulation.patch import Patch, exposed_patch
 from gsdf_registration.simulation.probe import (
     Hand,
@@ -31,13 +33,15 @@ from gsdf_registration.simulation.probe import (
 # minimum and maximum number of points: so few that several poses fit them
 SCENARIOS = {'region': (40, 200), 'window': (40, 200), 'cup_only': (40, 200),
              'shaft_only': (200, 800)}
-WINDOW = (0.015, 0.025)     # m, radius of a window
+WINDOW = (0.018, 0.028)     # m, radius of a window
 SIGMA = 5e-4                # m, noise per axis
 HAND = Hand(stroke=0.02, speed=0.08)    # short strokes with few points
 NEAR_TRUTH = 0.005          # m, maximum error at the touched points of a right pose (RMS)
 # faults of a badly calibrated and badly tracked probe
 TIP_ERROR, SHAFT_ERROR = 0.001, np.radians(3.0)     # m and rad, of the whole recording
 GLITCHES, GLITCH = 0.01, 0.1    # share of the poses in the air, and m, by which they are off
+SHAFT = [0.0, 0.0, 1.0]     # in the frame of the tool
+RATE = 80.0                 # Hz
 EVIDENCE = ('none', 'tip', 'shaft', 'faulty')
 
 
@@ -71,8 +75,9 @@ def run_trial(trial: AirTrial, config: Config) -> Row:
     recording = simulate_scan(patch, count, rng, tracker=tracker, hand=HAND, T_tracker_bone=T)
     path = simulate_air(recording, patch, field, rng, tracker)
     faulty = _with_faults(path, recording, rng)
-    air = {'none': None, 'tip': path.tips, 'shaft': _positions(path, recording),
-           'faulty': _positions(faulty, recording)}
+    air = {'none': None, 'tip': _recorded(path, recording, []),
+           'shaft': _recorded(path, recording, SHAFT),
+           'faulty': _recorded(faulty, recording, SHAFT)}
     row: Row = {'scenario': trial.scenario, 'points': len(recording.positions)}
     for kind in EVIDENCE:
         row |= {f'{kind}_{key}': value for key, value in _verdict(
@@ -98,10 +103,30 @@ def _patch(trial: AirTrial, rng: np.random.Generator) -> Patch:
             pass
 
 
-def _positions(path: AirPath, recording: SimulatedRecording) -> Array:
-    """Return where the tip was in the air, and the shaft in the air and on the bone."""
-    return np.concatenate([path.tips, along_shaft(path.tips, path.shafts, SHAFT[::2]),
-                           along_shaft(recording.positions, path.touching_shafts, SHAFT[::2])])
+def _recorded(path: AirPath, recording: SimulatedRecording, shaft: list[float]) -> Array:
+    """Return the positions in the air that a session records, with the direction of the shaft."""
+    touching = recording.strokes
+    order = np.argsort(np.concatenate([touching, path.strokes]), kind='stable')
+    tools = np.concatenate([_tools(recording.positions, path.touching_shafts),
+                            _tools(path.tips, path.shafts)])
+    on_bone = np.arange(len(tools)) < len(touching)
+    air = Air()
+    for tick, row in enumerate(order.tolist()):
+        x, y, z, qx, qy, qz, qw = tools[row].tolist()
+        sample = Sample(tick / RATE, (x, y, z), '', '', tool=(x, y, z, qx, qy, qz, qw))
+        rejection = None if on_bone[row] else Rejection.NOT_COLLECTING
+        air.add(sample, 0, rejection, False, GateConfig())
+    count = len(touching)
+    points = Points(recording.positions, recording.stamps, touching, np.zeros(count, np.int32),
+                    tools[:count])
+    return positions(air.rows, points, [], shaft)
+
+
+def _tools(tips: Array, shafts: Array) -> Array:
+    """Return poses (n, 7) of a tool with its tip at the origin and its shaft along z."""
+    x, y, z = shafts.T
+    quaternions = np.column_stack([-y, x, np.zeros(len(x)), 1.0 + z])
+    return np.column_stack([tips, quaternions / np.linalg.norm(quaternions, axis=1)[:, None]])
 
 
 def _with_faults(path: AirPath, recording: SimulatedRecording,
