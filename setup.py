@@ -87,8 +87,15 @@ setup(
         'report': ['matplotlib>=3.7', 'plotly>=5'],
         # OpenIGTLink: PLUS, Slicer
         'igtl': ['pyigtl>=0.3'],
-        # segmentations (NIfTI, NRRD, DICOM), models in VTK files, transforms in HDF5
-        'ct': ['SimpleITK>=2.3', 'highdicom>=0.22', 'scikit-image>=0.22', 'vtk>=9.3'],
+        # segmentations (NIfTI, NRRD, DICOM), models in VTK and 3MF files, transforms in HDF5
+        'ct': [
+            'SimpleITK>=2.3',
+            'highdicom>=0.24',
+            'scikit-image>=0.22',
+            'vtk>=9.3',
+            'lxml>=4.9',
+            'networkx>=3',
+        ],
         'bench': ['fast-simplification', 'libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich',
                   'scikit-image', 'small_gicp>=1.0'],
         'test': [
@@ -101,7 +108,9 @@ setup(
             'types-PyYAML',
             'scikit-image',
             'SimpleITK>=2.3',
-            'highdicom>=0.22',
+            'highdicom>=0.24',
+            'lxml>=4.9',
+            'networkx>=3',
             'pyigtl>=0.3',
             'matplotlib>=3.7',
             'plotly>=5',

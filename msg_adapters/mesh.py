@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Read surfaces from STL, PLY, OBJ and OFF files with trimesh, without repair.
+Read surfaces from STL, PLY, OBJ, OFF, 3MF and GLB files with trimesh, without repair.
 
 trimesh accepts some truncated files. Therefore the number of elements that the header or the text
 announces is compared with the number that was read.
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
+from msg_adapters.extras import needed
 from msg_adapters.files import describe_error
 
 
@@ -48,6 +49,9 @@ def load_surface(path: Path) -> Surface:
 
     """
     kind = path.suffix.lower()
+    if kind == '.3mf':
+        for module in ('lxml', 'networkx'):
+            needed(module, 'ct', '.3mf files')
     if kind == '.stl':
         _check_stl_length(path)
     bodies = _bodies(path)
@@ -58,7 +62,8 @@ def load_surface(path: Path) -> Surface:
     parts = [body.faces + start for body, start in zip(bodies, starts)
              if isinstance(body, trimesh.Trimesh)]
     faces = np.concatenate(parts).astype(np.int64) if parts else np.zeros((0, 3), np.int64)
-    _CHECKS[kind](path, bodies, len(faces))
+    if kind in _CHECKS:
+        _CHECKS[kind](path, bodies, len(faces))
     if not len(faces):
         return Surface(vertices, None, _normals(bodies[0]))
     if not 0 <= faces.min() <= faces.max() < len(vertices):

@@ -22,23 +22,25 @@ from msg_adapters.files import readable_file, unit_scale
 from msg_adapters.mesh import load_surface
 from msg_adapters.motion import ORIENTATION, POSITION
 from msg_adapters.recording import Recording
+from msg_adapters.segmentation import is_segmentation, read_segmentation
 from msg_adapters.table import Table, read_table
+from msg_adapters.vtk_mesh import VTK_FILES, load_vtk
 
-MESHES = ('.stl', '.ply', '.obj', '.off')
+MESHES = ('.stl', '.ply', '.obj', '.off', '.3mf', '.glb')
 TEXTS = ('.csv', '.tsv', '.txt', '.xyz')
 XYZ = ('x', 'y', 'z')
 POSE = (*POSITION, *ORIENTATION)
 NORMAL = ('nx', 'ny', 'nz')
 
 
-def read_model(path: str | os.PathLike[str],
-               unit: str) -> tuple[Array, NDArray[np.int32] | None, Array | None]:
+def read_model(path: str | os.PathLike[str], unit: str,
+               label: str = '') -> tuple[Array, NDArray[np.int32] | None, Array | None]:
     """
     Read the surface of a bone, a mesh or a point cloud with normals, without repair.
 
-    STL, PLY, OBJ and OFF files are meshes; several bodies are merged. A PLY file without faces, XYZ
-    and CSV files are point clouds, with normals in ``nx, ny, nz`` or in the last three of six
-    columns.
+    STL, PLY, OBJ, OFF, 3MF, GLB, VTK and VTP files are meshes; several bodies are merged. A PLY
+    file without faces, XYZ and CSV files are point clouds, with normals in ``nx, ny, nz`` or in the
+    last three of six columns. NIfTI, NRRD, MetaImage and DICOM SEG files are segmentations.
 
     Parameters
     ----------
@@ -46,6 +48,8 @@ def read_model(path: str | os.PathLike[str],
         File to read.
     unit : {'mm', 'm'}
         Unit of length of the file.
+    label : str
+        Number or name of the bone in a segmentation; empty: the only one.
 
     Returns
     -------
@@ -57,13 +61,22 @@ def read_model(path: str | os.PathLike[str],
     ------
     InputError
         If the file is missing, damaged, truncated or of unknown type, or has neither faces nor
-        normals.
+        normals, or the label is missing or ambiguous.
 
     """
     scale = unit_scale(unit)
     path = readable_file(path)
     kind = path.suffix.lower()
-    if kind in MESHES:
+    if is_segmentation(path):
+        if unit != 'mm':
+            raise InputError(f'{path} is a segmentation, which is in mm; set the unit of the model '
+                             'to mm')
+        return (*read_segmentation(path, label), None)
+    if label:
+        raise InputError(f'{path} is no segmentation: omit --label (model.label)')
+    if kind in VTK_FILES:
+        vertices, faces, normals = load_vtk(path)
+    elif kind in MESHES:
         vertices, faces, normals = load_surface(path)
     elif kind in TEXTS:
         table = _points_table(path)
@@ -73,8 +86,8 @@ def read_model(path: str | os.PathLike[str],
         normals = table.numbers(*(NORMAL if named else range(3, 6))) if has_normals else None
     else:
         raise InputError(
-            f'{path}: a model must be an STL, PLY, OBJ or OFF file, or points with normals as '
-            'PLY, XYZ or CSV')
+            f'{path}: a model must be a mesh (STL, PLY, OBJ, OFF, 3MF, GLB, VTK, VTP), a '
+            'segmentation (NIfTI, NRRD, DICOM SEG), or points with normals as PLY, XYZ or CSV')
     if faces is None and normals is None:
         raise InputError(
             f'{path} has neither faces nor normals; use a mesh, or points with nx, ny, nz')

@@ -15,6 +15,7 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,9 @@ import numpy as np
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import MAX_COORDINATE, Array
 from msg_adapters.files import read_text, write_atomically
+from msg_adapters.segmentation import is_segmentation
 from msg_adapters.table import read_table
+from msg_adapters.vtk_mesh import vtk_axes
 
 AXES = ('lps', 'ras')
 FLIP = np.array([-1.0, -1.0, 1.0])      # between LPS and RAS
@@ -127,8 +130,12 @@ def model_axes(path: str | os.PathLike[str]) -> str | None:
     """
     Return the coordinate system that a model file states, None if it states none.
 
-    Slicer writes SPACE=LPS or SPACE=RAS into the header of its models.
+    Slicer writes SPACE=LPS or SPACE=RAS into the header of its models. A segmentation is in LPS.
     """
+    if is_segmentation(path):
+        return 'lps'
+    if str(path).lower().endswith('.vtp'):
+        return vtk_axes(Path(path))
     with open(path, 'rb') as file:
         found = re.search(rb'SPACE\s*=\s*(LPS|RAS)\b', file.read(HEADER), re.IGNORECASE)
     return found.group(1).decode().lower() if found else None

@@ -28,10 +28,13 @@ SOURCES = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md'
 # while it is imported: with the pytest plugin of launch_testing that ends the collection.
 NEEDS = {
     'cli/test_report_option.py': 'plotly', 'cli/test_show.py': 'matplotlib',
+    'msg_adapters/test_dicom_seg.py': 'highdicom',
     'msg_adapters/test_igtl.py': 'pyigtl',
     'msg_adapters/test_markers.py': 'visualization_msgs',
     'msg_adapters/test_ros.py': 'geometry_msgs',
-    'msg_adapters/test_slicer_transform.py': 'SimpleITK', 'node': 'rclpy', 'ros': 'rclpy',
+    'msg_adapters/test_segmentation.py': 'SimpleITK',
+    'msg_adapters/test_slicer_transform.py': 'SimpleITK',
+    'msg_adapters/test_vtk_mesh.py': 'vtk', 'node': 'rclpy', 'ros': 'rclpy',
     'ros/test_igtl_bridge.py': 'pyigtl',
     'visualization/test_picture.py': 'matplotlib', 'visualization/test_report.py': 'plotly'}
 

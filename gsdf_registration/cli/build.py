@@ -7,6 +7,7 @@ import argparse
 import time
 from typing import Any
 
+from gsdf_registration.cli import options
 from gsdf_registration.common.command_line import example, number
 
 
@@ -15,16 +16,16 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         'build', help='build the gradient-SDF of a bone model',
         description='Build the gradient-SDF of a bone model. It is stored in the cache and, with '
-        '-o, in a file.',
-        **example('gsdf build hip.stl --model-unit mm -o hip.gsdf'))
-    parser.add_argument('model', metavar='MODEL',
-                        help='STL, PLY, OBJ, OFF, or a point cloud with normals')
-    parser.add_argument('--model-unit', choices=('mm', 'm'), default='mm',
-                        help='unit of the lengths in MODEL (default: mm)')
+        '-o, in a file. The surface of a segmentation is that of its smoothed label, in the '
+        'coordinates of the patient, LPS.',
+        **example('gsdf build hip.stl --model-unit mm -o hip.gsdf',
+                  'gsdf build ct_labels.nii.gz --label 3 -o femur.gsdf'))
+    parser.add_argument('model', metavar='MODEL', help=options.MODEL_HELP)
+    options.add_model_options(parser)
     parser.add_argument('--voxel', type=number, default=1.0, metavar='MM',
                         help='spacing of the samples near the surface, mm (default: 1)')
     parser.add_argument('-o', '--output', metavar='FIELD.gsdf', help='file to write the field to')
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, model_unit='mm')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     # the same range as for the setting model.voxel_size
     voxel_size = Config.from_flat({'model.voxel_size': 1e-3 * args.voxel}).model.voxel_size
     started = time.perf_counter()
-    field = load_model(args.model, args.model_unit, voxel_size)
+    field = load_model(args.model, args.model_unit, voxel_size, args.label or '', args.body or '')
     seconds = time.perf_counter() - started
     if args.output:
         save_field(field, args.output)

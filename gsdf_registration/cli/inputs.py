@@ -29,6 +29,8 @@ def effective_config(args: argparse.Namespace) -> Config:
     changes: dict[str, Any] = {'model.path': args.model}
     if args.model_unit:
         changes['model.unit'] = args.model_unit
+    changes |= {f'model.{name}': getattr(args, name) for name in ('label', 'body')
+                if getattr(args, name) is not None}
     if getattr(args, 'tip', None) is not None:
         changes['probe.tip'] = [value * METRES[args.unit] for value in args.tip]
     if getattr(args, 'reference', None) is not None:
@@ -52,7 +54,8 @@ def field_or_refusal(config: Config) -> Field | Refusal:
     """
     from gsdf_registration.field.model import load_model
     try:
-        field = load_model(config.model.path, config.model.unit, config.model.voxel_size)
+        field = load_model(config.model.path, config.model.unit, config.model.voxel_size,
+                          config.model.label, config.model.body)
         return field.for_tip(config.probe.tip_radius)
     except InputError as error:
         if error.reason is not Reason.WRONG_UNIT:

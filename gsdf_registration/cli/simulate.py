@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from gsdf_registration.cli import options
 from gsdf_registration.common.command_line import example, number, whole_number
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
@@ -45,12 +46,11 @@ def add_parser(subparsers: Any) -> None:
         'bytes.',
         **example(*EXAMPLES))
     add = parser.add_argument
-    add('model', metavar='MODEL', help='mesh of the bone (STL, PLY, OBJ, OFF)')
+    add('model', metavar='MODEL', help='mesh or segmentation of the bone')
     add('--region', required=True, metavar='NAME|X,Y,Z,RADIUS',
         help=f'the exposed area: {", ".join(REGIONS)}, or a ball in units of the model')
     add('-o', '--output', required=True, metavar='BAG', help='directory of the new bag')
-    add('--model-unit', choices=('mm', 'm'), default='mm',
-        help='unit of the lengths in MODEL (default: %(default)s)')
+    options.add_model_options(parser)
     add('--points', type=whole_number, default=600, metavar='N',
         help='samples on the bone, without interference (default: %(default)s)')
     add('--rate', type=number, default=80.0, metavar='HZ',
@@ -76,7 +76,7 @@ def add_parser(subparsers: Any) -> None:
         help='frame of the points (default: %(default)s)')
     add('--seed', type=whole_number, default=0, metavar='N',
         help='of the random numbers (default: %(default)s)')
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, model_unit='mm')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -197,7 +197,7 @@ def _patch(args: argparse.Namespace) -> Patch:
     from msg_adapters.files import unit_scale
     from msg_adapters.points import read_model
 
-    bone = make_bone(*read_model(args.model, args.model_unit))
+    bone = make_bone(*read_model(args.model, args.model_unit, args.label or ''), args.body or '')
     if bone.faces is None:
         raise InputError(f'{args.model} is a point cloud; give a mesh')
     if ',' not in args.region:

@@ -59,9 +59,13 @@ class UnmatchedPlaces(InputError):
 class ModelConfig:
     """The model of the bone."""
 
-    path: str = setting('', 'mesh (STL, PLY, OBJ, OFF), field (.gsdf) or point cloud with normals; '
-                        'a path or a package:// URI')
+    path: str = setting('', 'mesh (STL, PLY, OBJ, OFF, 3MF, GLB, VTK, VTP), point cloud with '
+                        'normals, segmentation (NIfTI, NRRD, DICOM SEG) or field (.gsdf); a path '
+                        'or a package:// URI')
     unit: str = setting('mm', 'unit of length of the model file', choices=('mm', 'm'))
+    label: str = setting('', 'number or name of the bone in a segmentation; empty: the only one')
+    body: str = setting('', 'which bone of a mesh of several bones: its number, largest or all; '
+                        'empty: there is only one')
     frame_id: str = setting('', 'frame of the bone model; empty: bone, or femur_bone for the node '
                             '/femur/registration', fixed=True)
     voxel_size: float = setting(0.001, 'spacing of the signed-distance samples near the surface',

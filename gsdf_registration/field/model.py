@@ -14,31 +14,37 @@ from gsdf_registration.mesh.bone import make_bone
 from msg_adapters.points import read_model
 
 
-def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001) -> Field:
+def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001, label: str = '',
+               body: str = '') -> Field:
     """
     Return the gradient-SDF of a bone model, from the cache if possible.
 
     Parameters
     ----------
     path : str
-        Mesh (STL, PLY, OBJ, OFF), point cloud with normals, or field (.gsdf); a path or a
-        package:// URI.
+        Mesh, point cloud with normals, segmentation or field (.gsdf), see `read_model`; a path or
+        a package:// URI.
     unit : str
         Unit of length of the file, 'mm' or 'm'; ignored for a field.
     voxel_size : float
         Spacing of the fine nodes, m; ignored for a field.
+    label : str
+        Number or name of the bone in a segmentation; empty: the only one.
+    body : str
+        Which bone of a mesh of several: a number, 'largest' or 'all'.
 
     Raises
     ------
     InputError
-        If the file is missing or damaged, or the size is not that of a bone (`wrong_unit`).
+        If the file is missing or damaged or has several bones, or the size is not that of a bone
+        (`wrong_unit`).
 
     """
     file = find_model(path)
     if file.suffix.lower() == '.gsdf':
         return load_field(file)
     try:
-        bone = make_bone(*read_model(file, unit))
+        bone = make_bone(*read_model(file, unit, label), body)
     except InputError as error:
         named = error.message if str(file) in error.message else f'{path}: {error.message}'
         raise InputError(named, error.reason) from None

@@ -14,6 +14,7 @@ from gsdf_registration.common.formatting import format_count, format_length
 from gsdf_registration.common.result import InputError, Reason
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.mesh import repair as mesh_repair
+from gsdf_registration.mesh.bodies import choose_bone
 
 MIN_EXTENT, MAX_EXTENT = 0.02, 2.0   # extent of a bone, m
 
@@ -60,7 +61,7 @@ class Bone:
 
 def make_bone(vertices: Array,
               faces: np.ndarray | None = None,
-              normals: Array | None = None) -> Bone:
+              normals: Array | None = None, body: str = '') -> Bone:
     """
     Validate, repair and orient the surface of a bone.
 
@@ -69,6 +70,8 @@ def make_bone(vertices: Array,
     vertices : (n, 3) float, metres
     faces : (m, 3) int, triangles as rows of vertex indices; None for a point cloud
     normals : (n, 3) float, outward; required for a point cloud, ignored for a mesh
+    body : str
+        Which bone of a mesh of several: a number, 'largest' or 'all'; see `bodies.choose_bone`.
 
     Returns
     -------
@@ -78,7 +81,8 @@ def make_bone(vertices: Array,
     Raises
     ------
     InputError
-        If the surface is not valid (`bad_input`) or not of the size of a bone (`wrong_unit`).
+        If the surface is not valid or has several bones (`bad_input`), or is not of the size of a
+        bone (`wrong_unit`).
 
     """
     vertices = _checked(vertices, 'vertices')
@@ -86,7 +90,7 @@ def make_bone(vertices: Array,
         raise InputError('the model is empty; use a triangle mesh or a point cloud with normals')
     _check_size(vertices)
     if faces is not None and len(faces):
-        bone = _bone_of_mesh(vertices, _checked_faces(faces, len(vertices)))
+        bone = _bone_of_mesh(vertices, _checked_faces(faces, len(vertices)), body)
     elif normals is not None:
         bone = _bone_of_cloud(vertices, _checked(normals, 'normals'))
     else:
@@ -98,8 +102,8 @@ def make_bone(vertices: Array,
     return bone
 
 
-def _bone_of_mesh(vertices: Array, faces: np.ndarray) -> Bone:
-    """Repair a mesh."""
+def _bone_of_mesh(vertices: Array, faces: np.ndarray, body: str) -> Bone:
+    """Repair a mesh, and choose one of its bones."""
     notes: list[str] = []
     vertices, faces = mesh_repair.merge_vertices(vertices, faces, notes)
     faces = mesh_repair.drop_invalid_faces(vertices, faces, notes)
@@ -109,7 +113,9 @@ def _bone_of_mesh(vertices: Array, faces: np.ndarray) -> Bone:
     keep = mesh_repair.large_bodies(vertices, faces, bodies, notes)
     faces, bodies = faces[keep], bodies[keep]
     faces = mesh_repair.orient_outward(vertices, faces, bodies, notes)
-    faces = faces[mesh_repair.outer_bodies(vertices, faces, bodies, notes)]
+    keep = mesh_repair.outer_bodies(vertices, faces, bodies, notes)
+    faces, bodies = faces[keep], bodies[keep]
+    faces = faces[choose_bone(vertices, faces, bodies, body)]
     vertices, faces = mesh_repair.drop_unused_vertices(vertices, faces)
     return Bone(vertices, faces.astype(np.int32), None, tuple(notes))
 

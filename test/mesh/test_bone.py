@@ -72,7 +72,7 @@ def test_orients_a_mesh_with_holes(inside_out):
 
 def test_orients_each_body_separately():
     v, f = blob()
-    bone = make_bone(*two((v, f[:, ::-1]), (v * 0.5 + [0.2, 0.0, 0.0], f)))
+    bone = make_bone(*two((v, f[:, ::-1]), (v * 0.5 + [0.2, 0.0, 0.0], f)), body='all')
     assert volume(bone.vertices, bone.faces) == pytest.approx(VOLUME * 1.125)
     assert '1 of 2 bodies' in bone.notes[-1]
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import numpy as np
 import pytest
 import trimesh
@@ -46,6 +48,9 @@ def corners(vertices, faces):
 @pytest.mark.parametrize('name, options', [
     ('box.stl', {}), ('box.STL', {'file_type': 'stl_ascii'}), ('box.ply', {}),
     ('box.PLY', {'file_type': 'ply', 'encoding': 'ascii'}), ('box.obj', {}), ('box.off', {}),
+    ('box.glb', {}),
+    pytest.param('box.3mf', {}, marks=pytest.mark.skipif(
+        importlib.util.find_spec('lxml') is None, reason='lxml is not installed')),
 ])
 @pytest.mark.parametrize('unit, scale', [('mm', 0.001), ('m', 1.0)])
 def test_reads_meshes_in_metres(tmp_path, name, options, unit, scale):
@@ -115,7 +120,7 @@ def test_rejects_files_that_are_not_models(tmp_path):
     assert 'directory' in refusal(read_model, tmp_path, 'mm')
     for suffix in ('stl', 'ply', 'obj', 'off', 'csv'):
         assert 'is empty' in refusal(read_model, write(tmp_path / f'e.{suffix}', ''), 'mm')
-    assert 'STL, PLY, OBJ or OFF' in refusal(read_model, write(tmp_path / 'a.step', 'x'), 'mm')
+    assert 'STL, PLY, OBJ, OFF' in refusal(read_model, write(tmp_path / 'a.step', 'x'), 'mm')
     assert 'cm' in refusal(read_model, export(tmp_path / 'a.stl'), 'cm')
     assert 'normals' in refusal(read_model, write(tmp_path / 'a.xyz', '1 2 3\n'), 'mm')
     assert 'normals' in refusal(read_model, write(tmp_path / 'a.obj',

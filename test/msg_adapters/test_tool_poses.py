@@ -85,7 +85,8 @@ def test_reads_the_only_topic_with_poses_of_a_bag(tmp_path: Path) -> None:
     ('ndi.csv', ANGLES, {'unit': 'm'}, 'use --unit mm'),
     ('ndi.csv', ANGLES, {'topic': '/tool'}, '--topic does not apply'),
     ('ndi.csv', ANGLES.replace('Rz,Ry,Rx', 'A,B,C'), {}, 'has no orientation'),
-    ('ndi.csv', ANGLES.replace(',90,0,30', ',90,x,30'), {}, "line 2: the state is OK but Ry is 'x'"),
+    ('ndi.csv', ANGLES.replace(',90,0,30', ',90,x,30'), {},
+     "line 2: the state is OK but Ry is 'x'"),
 ])
 def test_message_names_the_defect(tmp_path: Path, name: str, text: str, options: dict[str, str],
                                   message: str) -> None:
