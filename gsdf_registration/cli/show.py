@@ -76,6 +76,7 @@ def _read_points(args: argparse.Namespace, field: Field,
     import numpy as np
 
     from gsdf_registration.common.samples import without_tools
+    from gsdf_registration.common.tool_pose import TIP_UNKNOWN
     from gsdf_registration.registration.input_checks import initial_guess
     from gsdf_registration.session import Session
     from gsdf_registration.session.replay import collected
@@ -97,7 +98,10 @@ def _read_points(args: argparse.Namespace, field: Field,
         raise InputError(f'{path}: the unit of the points is missing; add --unit mm or --unit m')
     else:
         axes = landmark_files.axes_of(args, config)
-        positions = read_points(path, args.unit, axes=axes.tracker).positions
+        recording = read_points(path, args.unit, axes=axes.tracker, poses=bool(config.probe.tip))
+        if recording.tools is not None and not config.probe.tip:
+            raise InputError(TIP_UNKNOWN)
+        positions, _ = recording.tip_positions(config.probe.tip)
         positions = positions[np.isfinite(positions).all(axis=1)]
         zeros = np.zeros(len(positions), np.int32)
         points = without_tools(positions, zeros.astype(np.float64), zeros, zeros)

@@ -108,7 +108,10 @@ class _TypedServices:
         response.spread = results.NAN
         if answer.detail is not None:
             response.name, tip = answer.detail
-            response.position = ros.point_msg(tip.position, status.frame_id or '',
+            # the place of the tip on the tool may follow later
+            known = tip.tool is None or self._node.session.config.probe.tip
+            response.position = ros.point_msg(tip.position if known else 3 * [results.NAN],
+                                              status.frame_id or '',
                                               ros.seconds_to_stamp(tip.stamp))
             response.spread, response.samples = tip.spread_rms, tip.samples
 

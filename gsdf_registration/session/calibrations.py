@@ -99,6 +99,7 @@ class Calibrations:
                 if problem:
                     return Answer(False, problem)
                 self._running = Calibration(kind)
+                self._notices.set('')
                 return Answer(True, f'{kind.sentence}, then call ~/{kind.value} again')
             if running.kind is not kind:
                 self._running = running

@@ -350,9 +350,12 @@ class Session:
             return self._state.revision
 
     def points(self) -> Points:
-        """Return the points collected so far, as read-only views."""
-        with self._lock:
-            return self._state.collection.points()
+        """
+        Return the points collected so far, as read-only views.
+
+        While the tip of a tool is not known there are none: their positions are not known.
+        """
+        return self.points_since(-1, 0)[2]
 
     def points_since(self, revision: int, count: int) -> tuple[int, str, Points]:
         """
