@@ -12,7 +12,6 @@ import math
 import os
 import re
 from collections import Counter
-from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,39 +22,15 @@ from gsdf_registration.common.rigid import Array
 from msg_adapters.files import METRES
 from msg_adapters.ndi_blocks import NEEDED, Block, BlockFile, is_ndi
 from msg_adapters.recording import Recording
+from msg_adapters.tracked_tool import TrackedTool
 
-__all__ = ['TrackedTool', 'is_ndi', 'read_ndi', 'read_tool', 'read_tools', 'topic_of']
+__all__ = ['is_ndi', 'read_ndi', 'read_tool', 'read_tools', 'topic_of']
 
 TRACKED = ('ok', 'enabled')
 POSITION = ('Tx', 'Ty', 'Tz')
 QUATERNION = ('Qx', 'Qy', 'Qz', 'Q0')
 ANGLES = ('Rz', 'Ry', 'Rx')     # deg; the rotation is Rz Ry Rx
 UNKNOWN = 1e10                  # larger numbers stand for an unknown value
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedTool:
-    """
-    The samples of a tool with the state OK and a known position.
-
-    label : port label
-    positions : (n, 3) float64, m
-    quaternions : (n, 4) float64, x y z w, NaN where unknown; None if the file has no orientations
-    errors : (n,) float64, m, NaN where unknown; None if the file has no Error column
-    stamps : (n,) float64, s; None if there are no times
-    dropped : number of lines without a usable sample, by cause
-    """
-
-    label: str
-    positions: Array
-    quaternions: Array | None = None
-    errors: Array | None = None
-    stamps: Array | None = None
-    dropped: dict[str, int] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        """Return the number of samples."""
-        return len(self.positions)
 
 
 def read_ndi(path: str | os.PathLike[str], tool: str | None = None,
