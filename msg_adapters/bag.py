@@ -54,7 +54,7 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
         /probe/tip, or the only PointStamped topic other than /probe/landmarks, or the only topic
         with poses other than ``reference``.
     reference : str, optional
-        PoseStamped topic of the reference array, for `Recording.transforms`.
+        Topic with the poses of the reference array, for `Recording.transforms`.
     frames : bool, optional
         Whether `Recording.transforms` also contains those of /tf and /tf_static.
 
@@ -73,7 +73,7 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     bag = BagFiles(path)
     types = {topic.name: topic.msgtype for topic in bag.topics()}
     names = _select_topics(bag.path, types, topics, reference)
-    if reference and types.get(reference) != POSE:
+    if reference and types.get(reference) not in TOOL_POSES:
         raise InputError(f'{path} has no poses of the reference array, PoseStamped on {reference} '
                          f'(reference.topic); it has {_listed(types)}')
     tf_topics = [name for name in FRAMES if frames and types.get(name) == TF]
@@ -163,8 +163,8 @@ def _transforms(path: Path, messages: list[Raw], points: Sequence[str]) -> list[
                                              FRAMES[raw.topic]))
         else:
             message = decode_message(path, i, raw)
-            transforms.append(_transform(after, message.header, message.pose.position,
-                                         message.pose.orientation))
+            transforms.append(_transform(after, message.header,
+                                         *TOOL_POSES[raw.msgtype](message)))
     return transforms
 
 

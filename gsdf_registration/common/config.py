@@ -101,7 +101,8 @@ class ReferenceConfig:
 
     topic: str = setting(
         '',
-        'PoseStamped topic of the reference array in the tracker frame; empty: none',
+        'topic of the poses of the reference array in the tracker frame, as PoseStamped, '
+        'PoseWithCovarianceStamped or TransformStamped; empty: none',
         fixed=True)
     frame_id: str = setting('', 'frame of the reference array, in which the bone is then '
                             'registered; empty: reference_array, or femur_reference_array for the '

@@ -18,12 +18,13 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.node.probe_topics import POSE, accepted_types
+from gsdf_registration.node.probe_topics import accepted_types
 from gsdf_registration.node.qos import POINTS
 from gsdf_registration.node.transforms import STATIC
 
 SILENCE = 5.0       # s without a point after which the status says so
 FAR = 10.0          # s between the stamps and the clock of the node
+LOST_FOR = 60.0     # s for which the status says that messages were lost
 ENDLESS = 10**18    # ns
 
 
@@ -60,16 +61,22 @@ class Arrivals:
     def __init__(self) -> None:
         self._last = time.monotonic()
         self._behind: dict[str, float] = {}
+        self._lost: dict[str, float] = {}   # when messages were lost last
 
     def restart(self) -> None:
         """Start to wait for the first point."""
         self._last = time.monotonic()
         self._behind.clear()
+        self._lost.clear()
 
     def add(self, topic: str, stamp: float, now: float) -> None:
         """Record a point with ``stamp`` that arrived at ``now``, clock of the node, s."""
         self._last = time.monotonic()
         self._behind[topic] = now - stamp
+
+    def lose(self, topics: Sequence[str]) -> None:
+        """Record that messages of these topics were lost."""
+        self._lost |= dict.fromkeys(topics, time.monotonic())
 
     @property
     def silence(self) -> float:
@@ -77,13 +84,18 @@ class Arrivals:
         return time.monotonic() - self._last
 
     def hints(self) -> list[Hint]:
-        """Return a hint for the topics whose stamps are far from the clock of the node."""
+        """Return a hint on lost messages, and on stamps far from the clock of the node."""
+        now = time.monotonic()
+        lost = [topic for topic, last in self._lost.items() if now - last < LOST_FOR]
         topics: dict[str, list[str]] = {}
         for topic, behind in self._behind.items():
             if abs(behind) > FAR:
                 side = 'behind' if behind > 0.0 else 'ahead of'
                 topics.setdefault(f'{_duration(abs(behind))} {side}', []).append(topic)
-        return [Hint(f'the stamps on {", ".join(names)} are {where} the clock of this node: '
+        return [Hint(f'messages on {", ".join(lost)} were lost before this node could take them, '
+                     'see rejected.lost: publish fewer per second, or run less on this computer'
+                     )] * bool(lost) + [
+                Hint(f'the stamps on {", ".join(names)} are {where} the clock of this node: '
                      'synchronize the clocks of the computers, or set use_sim_time for a recording',
                      warning=False) for where, names in topics.items()]
 
@@ -103,8 +115,8 @@ def input_hints(graph: Graph, config: Config, arrivals: Arrivals, waiting: bool)
                           *_several_types(topic, publishers[topic], kinds))]
     if config.reference.topic:
         topic = graph.resolve_topic_name(config.reference.topic)
-        hints += _mismatches(topic, graph.get_publishers_info_by_topic(topic), (POSE,),
-                             'reference.topic')
+        hints += _mismatches(topic, graph.get_publishers_info_by_topic(topic),
+                             accepted_types('pose'), 'reference.topic')
     if waiting and arrivals.silence > SILENCE and not hints:
         hints.append(_silence(probes, any(publishers.values())))
     return hints + arrivals.hints()

@@ -9,7 +9,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped
 from rclpy.clock import ClockChange, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -23,13 +23,14 @@ from gsdf_registration.common.samples import Sample, SampleSink
 from gsdf_registration.node import transforms
 from gsdf_registration.node.hints import Arrivals, type_name
 from gsdf_registration.node.lifecycle import RCLError
+from gsdf_registration.node.lost_messages import LostMessages
 from gsdf_registration.node.probe_topics import MESSAGES, POINT, type_to_receive
 from gsdf_registration.node.qos import POINTS, STEADY, UNWATCHED_POINTS
 from gsdf_registration.tracking.clock import BACK
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters import ros
-from msg_adapters.motion import INVALID_TRANSFORM
+from msg_adapters.motion import INVALID_TRANSFORM, TOOL_POSES, to_matrix
 
 PERIOD = 0.1        # s, between two checks for points that have waited too long
 IDLE_PERIOD = 1.0   # s, the same if no point can wait
@@ -43,8 +44,8 @@ class Inputs:
     """
     Receives the topics of ``config`` and passes their points to a session, in the session frame.
 
-    Points are ignored unless ``active``; poses and transforms are always received.  What a topic of
-    the probe carries is found from its publishers, now and later, see `type_to_receive`.
+    Points are ignored unless ``active``; poses and transforms are always received.  What a topic
+    carries is found from its publishers, now and later, see `type_to_receive`.
 
     Parameters
     ----------
@@ -63,13 +64,12 @@ class Inputs:
         self._delay = 0.0       # s that the last pose or transform waited in the queue
         self._transforms: transforms.Transforms | None = None
         self._subscriptions: dict[str, Subscription] = {}
+        self._lost: dict[str, LostMessages] = {}
         self._probe_type = config.probe.type
+        self._reference = config.reference.topic
         try:
-            for topic in config.probe.topics:
-                self._receive(topic, type_to_receive(node, topic, config.probe.type,
-                                                     types.get(topic, '')))
-            if config.reference.topic:
-                self._subscribe(PoseStamped, config.reference.topic, self._on_pose)
+            for topic in filter(None, [*config.probe.topics, self._reference]):
+                self._receive(topic, self._type_to_receive(topic, types.get(topic, '')))
         except Exception:
             self._unsubscribe()
             raise
@@ -106,21 +106,27 @@ class Inputs:
         self._timer = self._node.create_timer(PERIOD if may_wait else IDLE_PERIOD, self._check,
                                               clock=STEADY)
 
+    def _type_to_receive(self, topic: str, current: str) -> str:
+        allowed = 'pose' if topic == self._reference else self._probe_type
+        return type_to_receive(self._node, topic, allowed, current)
+
     def _receive(self, topic: str, kind: str) -> None:
-        """Receive messages of this type, of `MESSAGES`, on a topic of the probe."""
+        """Receive messages of this type, of `MESSAGES`, on a topic."""
         self.types[topic] = ''
         former = self._subscriptions.pop(topic, None)
         if former is not None:      # DDS has one type for each topic of a process
+            self._lost.pop(topic).destroy()
             self._node.destroy_subscription(former)
-        callback = (partial(self._on_point, topic) if kind == POINT
+        callback = (partial(self._on_reference_pose, kind) if topic == self._reference
+                    else partial(self._on_point, topic) if kind == POINT
                     else partial(self._on_tool_pose, topic, kind))
         self._subscribe(MESSAGES[kind], topic, callback)
         self.types[topic] = kind
 
     def _follow_types(self) -> None:
-        """Receive what is published on the topics of the probe."""
+        """Receive what is published on the topics."""
         for topic, kind in self.types.items():
-            wanted = type_to_receive(self._node, topic, self._probe_type, kind)
+            wanted = self._type_to_receive(topic, kind)
             if wanted == kind:
                 continue
             try:
@@ -151,6 +157,7 @@ class Inputs:
         subscription = self._node.create_subscription(kind, topic, on_message, POINTS,
                                                       event_callbacks=UNWATCHED_POINTS)
         self._subscriptions[topic] = subscription
+        self._lost[topic] = LostMessages(subscription)
 
     def destroy(self) -> None:
         """Remove subscriptions, timer and clock callback."""
@@ -162,6 +169,8 @@ class Inputs:
             self._transforms.destroy()
 
     def _unsubscribe(self) -> None:
+        for lost in self._lost.values():
+            lost.destroy()
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
 
@@ -178,6 +187,14 @@ class Inputs:
         """Why points were rejected in the last seconds before they reached the session."""
         age = time.monotonic() - self._transformer.last_rejection
         return self._transformer.problem if age < SHOW_FOR else ''
+
+    def take_lost(self) -> int:
+        """Return how many points of an active node were lost since the last call."""
+        lost = {topic: each.take() for topic, each in self._lost.items()}
+        if not self.active:
+            return 0
+        self.arrivals.lose([topic for topic, count in lost.items() if count])
+        return sum(lost[topic] for topic in self.types)
 
     def _on_point(self, topic: str, message: PointStamped, info: dict[str, Any]) -> None:
         if self.active:
@@ -198,10 +215,10 @@ class Inputs:
         self._delay = delay
         self._transformer.add_transform(parent, child, stamp, T, static)
 
-    def _on_pose(self, message: PoseStamped, info: dict[str, Any]) -> None:
+    def _on_reference_pose(self, kind: str, message: Any, info: dict[str, Any]) -> None:
         self._delay = transforms.queue_delay(info)
         try:
-            _, T, _ = ros.pose_from(message)
+            T = to_matrix(*TOOL_POSES[kind](message))
         except InputError:
             T = INVALID_TRANSFORM
         header = message.header

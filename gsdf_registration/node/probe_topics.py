@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each topic of the probe carries: positions of the tip, or poses of the tool."""
+"""What each topic of a tracker carries: positions of a tip, or poses of a tool or array."""
 
 from __future__ import annotations
 

@@ -31,6 +31,7 @@ from gsdf_registration.tracking.pivot_poses import rigid_rows
 
 # m, standard deviation of a joint centre on the model: picked, or the centre of a fitted sphere
 PLACE = 0.002
+FARTHEST = 20.0     # m; the volumes of trackers end before
 
 
 class CalibrationKind(Enum):
@@ -118,9 +119,14 @@ class Calibration:
                     'tool' if self.kind is CalibrationKind.TIP else
                     'no pose of the reference array has arrived: is it in view?')
             return FixedPoint(PivotReason.TOO_FEW_POSES, what)
+        T = turned.matrices()
+        farthest = float(np.abs(T[:, :3, 3]).max())
+        if farthest > FARTHEST:
+            return FixedPoint(PivotReason.WRONG_UNIT, f'the poses are up to {farthest:.0f} m from '
+                              'the origin of the tracker: their driver must publish metres, not mm')
         if self.kind is CalibrationKind.JOINT_CENTRE:
-            return find_joint_centre(turned.matrices(), turned.stamps)
-        found = calibrate_pivot(turned.matrices(), turned.stamps)
+            return find_joint_centre(T, turned.stamps)
+        found = calibrate_pivot(T, turned.stamps)
         if not found.success and len(self.array):
             stamps, T = turned.seen_from(self.array, max_gap)
             on_array = calibrate_pivot(T, stamps)

@@ -185,3 +185,13 @@ def test_a_clear_a_restart_and_a_cancel_end_a_calibration() -> None:
     assert 'cancelled: the node was deactivated' in session.status().message
     session.calibrations.calibrate_tip()
     assert 'calibration is cancelled' in session.clear().message
+
+
+def test_poses_in_millimetres_are_refused_by_their_unit() -> None:
+    session, recording = Session(Config()), record()
+    recording.T_tracker_body[:, :3, 3] *= 1e3
+    session.calibrations.calibrate_tip()
+    turn(session, recording)
+    answer = session.calibrations.calibrate_tip()
+    assert not answer.success and answer.message.startswith('wrong_unit: ')
+    assert 'metres, not mm' in answer.message
