@@ -113,16 +113,12 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
     if len(landmarks):
         sd = np.append(np.full(len(before(best.touches, points)),
                                local_sd * np.sqrt(neighbours.shape[1])), touch_sd)
-        for k in minima:
-            if judged[k].likelihood > judged[0].likelihood - IN_REACH:
-                joint = judge(slide(judged[k].T_bone_tracker, points, field, sd, landmarks))
-                judged[k] = max(judged[k], joint, key=lambda pose: pose.likelihood)
-        chosen = max((k for k in minima if judged[k].evidence >= judged[0].evidence),
-                     key=lambda k: judged[k].likelihood)
+        candidates = [candidates[k] for k in minima]
+        judged, chosen = _joint_optima(
+            [judged[k] for k in minima],
+            lambda T: judge(slide(T, points, field, sd, landmarks)))
         if chosen:
             best = refine(points, field, candidates[chosen], config)
-        judged = [judged[k] for k in minima]
-        chosen = minima.index(chosen)
         minima = _distinct(judged, chosen, apart)
     alternatives = [
         AlternativePose(judged[k].T_bone_tracker, judged[chosen].likelihood - judged[k].likelihood,
@@ -147,6 +143,22 @@ class _JudgedPose(NamedTuple):
     likelihood: float
     evidence: float
     cost: float
+
+
+def _joint_optima(minima: Sequence[_JudgedPose],
+                  joint: Callable[[Array], _JudgedPose]) -> tuple[list[_JudgedPose], int]:
+    """
+    Return minima at their ``joint`` optimum with the landmarks, and which one is the best.
+
+    Another one than the first is better only if the evidence is for it.
+    """
+    found = []
+    for pose in minima:
+        in_reach = pose.likelihood > minima[0].likelihood - IN_REACH
+        moved = joint(pose.T_bone_tracker) if in_reach else pose
+        found.append(max(pose, moved, key=lambda each: each.likelihood))
+    favoured = [k for k, pose in enumerate(found) if pose.evidence >= found[0].evidence]
+    return found, max(favoured, key=lambda k: found[k].likelihood)
 
 
 def _distinct(poses: Sequence[_JudgedPose], first: int,
