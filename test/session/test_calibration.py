@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.rigid import exp, quaternion_from_rotation
+from gsdf_registration.common.rigid import exp, inverse, quaternion_from_rotation, transform
 from gsdf_registration.common.samples import Sample
 from gsdf_registration.session import Session
 from gsdf_registration.simulation.moving import Sway
@@ -195,3 +195,25 @@ def test_poses_in_millimetres_are_refused_by_their_unit() -> None:
     answer = session.calibrations.calibrate_tip()
     assert not answer.success and answer.message.startswith('wrong_unit: ')
     assert 'metres, not mm' in answer.message
+
+
+def test_a_joint_centre_is_a_measurement_of_the_pose() -> None:
+    from smooth_bone import T_TRACKER_BONE as T_ARRAY_BONE
+    from smooth_bone import bone_field, touched_points
+    place = transform(inverse(T_ARRAY_BONE), HIP_CENTRE)
+    session = Session(JOINT.replaced({
+        'landmarks.names': ['hip_centre'], 'landmarks.positions': place.tolist(),
+        'gate.max_speed': 100.0}), bone_field())
+    session.calibrations.find_joint_centre()
+    swing(session, leg_swing(np.random.default_rng(0)))
+    assert session.calibrations.find_joint_centre().success
+    session.collect(True)
+    for stamp, point in enumerate(transform(T_ARRAY_BONE, touched_points(400, 0, 3e-4)).tolist()):
+        session.add(Sample(1e3 + stamp, tuple(point), 'reference_array', '/probe/tip'))
+    result = session.register()
+    assert result.success, result.message
+    (landmark,), (fit,) = session.status().captured, result.landmarks
+    assert fit.used and fit.sigma_m == landmark.sigma_m and fit.residual_m < 4.0 * fit.sigma_m
+    other = Session(session.config, bone_field())
+    other.restore(session.to_dict())
+    assert other.register().T_tracker_bone.tobytes() == result.T_tracker_bone.tobytes()
