@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.result import Reason, RegistrationResult
+from gsdf_registration.common.result import LandmarkFit, Reason, RegistrationResult
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.node.status import (
@@ -125,3 +127,14 @@ def test_the_stamp_is_the_first_value() -> None:
     stamped = with_stamp(message, Time(sec=12, nanosec=5))
     assert (stamped.values[0].key, stamped.values[0].value) == ('stamp', '12.000000005')
     assert stamped.values[1:] == message.values and stamped.message == message.message
+
+
+def test_landmarks_that_are_measurements_are_reported_against_their_standard_deviation() -> None:
+    fits = (LandmarkFit('hip_centre', True, 0.002, 0.0031, 1.2),
+            LandmarkFit('tip', False, 0.001, 0.02, 11.0))
+    accepted = replace(ACCEPTED, landmarks=fits)
+    values = {value.key: value.value for value in status_message(
+        status(pose_result=accepted), LiveStatus(), 'node').values}
+    assert values['landmark.hip_centre'] == (
+        '3.1 mm from its place, 1.2 standard deviations from where it is expected without it')
+    assert values['landmark.tip'].endswith('without it: not used')
