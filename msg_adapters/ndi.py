@@ -65,12 +65,15 @@ def read_ndi(path: str | os.PathLike[str], tool: str | None = None,
     """
     tracked = read_tool(path, tool, rate)
     tools = None
+    notes: tuple[str, ...] = (
+        f'the positions of {tracked.label} are taken as those of the tip; give --tip if the tip is '
+        'elsewhere on the tool',)
     if poses:
         if tracked.quaternions is None:
             raise InputError(f'{path}: {tracked.label} has no orientation, so a tip (--tip, '
                              'probe.tip) cannot be applied')
-        tools = np.hstack([tracked.positions, tracked.quaternions])
-    return Recording(positions=tracked.positions, stamps=tracked.stamps, tools=tools,
+        tools, notes = np.hstack([tracked.positions, tracked.quaternions]), ()
+    return Recording(positions=tracked.positions, stamps=tracked.stamps, tools=tools, notes=notes,
                      source_names=[tracked.label], quality=tracked.errors, dropped=tracked.dropped)
 
 

@@ -85,11 +85,12 @@ def read_plus(path: str | os.PathLike[str], wanted: str | None = None) -> list[T
 def _read_header(path: str | os.PathLike[str]) -> Fields:
     """Return the fields of each frame by its number."""
     frames: Fields = {}
+    nrrd = str(path).lower().endswith(('.nrrd', '.nhdr'))
     with open_file(path, LARGEST) as file:
         while True:
             line = file.readline(LONGEST)
             # the header ends at the image: after this field, or at an empty line of NRRD
-            if not line.strip() or line.startswith(b'ElementDataFile'):
+            if not line or line.startswith(b'ElementDataFile') or (nrrd and not line.strip()):
                 return frames
             found = FIELD.match(line)
             if found:

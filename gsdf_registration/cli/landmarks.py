@@ -7,8 +7,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import outputs
-from gsdf_registration.cli.options import MODEL_HELP
+from gsdf_registration.cli import options, outputs
 from gsdf_registration.common.command_line import example, progress_bar
 
 if TYPE_CHECKING:
@@ -28,12 +27,14 @@ def add_parser(subparsers: Any) -> None:
         'patient, and the four most distant places of the bone, to be touched for an initial '
         'guess. The centre is that of the sphere through the femoral head or the acetabulum.',
         **example('gsdf landmarks femur.stl > landmarks.yaml'))
-    parser.add_argument('model', metavar='MODEL', help=MODEL_HELP)
-    parser.add_argument('--model-unit', choices=('mm', 'm'), default='mm',
-                        help='unit of the lengths in MODEL (default: mm)')
+    parser.add_argument('model', metavar='MODEL', help=options.MODEL_HELP)
+    options.add_model_options(parser)
     parser.add_argument('--json', metavar='OUT',
                         help='write the landmarks as JSON; - for standard output instead of YAML')
-    parser.set_defaults(run=run)
+    parser.add_argument('--markups', metavar='OUT.mrk.json|.fcsv',
+                        help='write the landmarks as a point list of Slicer, in the axes that the '
+                        'model states, else LPS')
+    parser.set_defaults(run=run, model_unit='mm')
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
     from gsdf_registration.field.model import load_model
     from gsdf_registration.registration.joint_centre import extreme_points, find_hip_centre
 
-    field, centre = load_model(args.model, args.model_unit), None
+    field, centre = load_model(args.model, args.model_unit, label=args.label or '',
+                               body=args.body or ''), None
     try:
         with progress_bar('searching for the hip joint') as show:
             centre = find_hip_centre(field, show)
@@ -50,9 +52,20 @@ def run(args: argparse.Namespace) -> int:
         print(f'note: {error.message}', file=sys.stderr)
     extremes = extreme_points(field)
     outputs.write_json(args.json, landmarks_to_json(field, centre, extremes))
+    if args.markups:
+        _write_markups(args.markups, args.model, _named(centre, extremes))
     if args.json != '-':
         print(landmarks_to_yaml(args.model, centre, extremes), end='')
     return 0
+
+
+def _write_markups(path: str, model: str, landmarks: dict[str, Array]) -> None:
+    import numpy as np
+
+    from gsdf_registration.field.model import find_model
+    from msg_adapters.slicer import PointList, model_axes, write_point_lists
+    points = PointList('landmarks', list(landmarks), np.stack(list(landmarks.values())))
+    write_point_lists(path, [points], model_axes(find_model(model)) or 'lps')
 
 
 def landmarks_to_json(field: Field, centre: JointCentre | None, extremes: Array) -> dict[str, Any]:

@@ -58,6 +58,8 @@ def run(args: argparse.Namespace) -> int:
     landmarks = landmark_files.read_landmark_files(args, config, args.unit)
     recording = read_points(args.points, args.unit, args.tool, axes.tracker,
                             poses=bool(config.probe.tip))
+    for note in recording.notes:
+        print(f'note: {note}', file=sys.stderr)
     field = inputs.field_or_refusal(config)
     loaded = time.perf_counter()
     points = recording.positions

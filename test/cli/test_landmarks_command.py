@@ -13,6 +13,7 @@ import yaml
 from gsdf_registration.cli.main import main
 from gsdf_registration.common.config import Config
 from gsdf_registration.simulation.femur import HEAD
+from msg_adapters.slicer import only_list
 
 
 def test_prints_settings_with_the_hip_centre(femur_bone: Path,
@@ -60,3 +61,13 @@ def test_a_file_of_landmarks_with_sigma_measures_the_pose(
         ('a', True, 0.002), ('b', False, 0.002), ('c', True, 0.002)]
     assert 'left out as a mistake: "b" is 29.7 mm' in document['message']
     assert 'landmark b' in capsys.readouterr().out
+
+
+def test_writes_the_landmarks_for_slicer(femur_bone: Path, tmp_path: Path,
+                                         capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['landmarks', str(femur_bone), '--markups', str(tmp_path / 'a.mrk.json'), '--json',
+                 str(tmp_path / 'a.json')]) == 0
+    listed = json.loads((tmp_path / 'a.json').read_text())['landmarks']
+    points = only_list(tmp_path / 'a.mrk.json', 'lps')
+    np.testing.assert_allclose(points.positions, [listed[label] for label in points.labels])
+    assert points.labels[0] == 'hip_centre'

@@ -58,6 +58,7 @@ def test_reads_valid_samples_and_counts_lost_ones(tmp_path):
         assert points.stamps.tolist() == [12.0, 12.05]
         assert points.dropped == {'tracking_state': 4}
         assert points.source_names == [LABEL]
+        assert 'are taken as those of the tip; give --tip' in points.notes[0]
 
 
 def test_reads_each_tool_by_its_label(tmp_path):
