@@ -99,6 +99,20 @@ def test_register_takes_poses_of_a_tool_as_a_table(tmp_path: Path,
         assert_near_truth(out)
 
 
+def test_register_applies_the_tip_to_an_ndi_recording(tmp_path: Path) -> None:
+    block = 'Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers'
+    lines = [f'Tools,Port 0x02: Probe,{block}']
+    for i, (stamp, T) in enumerate(zip(*tool_poses())):
+        x, y, z, w = quaternion_from_rotation(T[:3, :3])
+        numbers = ','.join(f'{value:.6f}' for value in (w, x, y, z, *(1e3 * T[:3, 3])))
+        lines.append(f'1,Port 0x02: Probe,{i},{stamp:.4f},1,OK,{numbers},0.1,0')
+    path, out = tmp_path / 'ndi.csv', tmp_path / 'out.json'
+    path.write_text('\n'.join(lines) + '\n')
+    assert run('register', MODEL, path, '--unit', 'mm', '--landmarks', TRUTH, '--json', out,
+               '--tool', 'Probe', '--tip', TIP_MM) == 0
+    assert_near_truth(out)
+
+
 @pytest.mark.parametrize('tip', ['1,2', '1,2,x', '1,2,nan', '-1', '9999,0,0'])
 def test_a_tip_must_be_three_numbers_near_the_tool(tip: str,
                                                    capsys: pytest.CaptureFixture[str]) -> None:

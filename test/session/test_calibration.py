@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
 import pytest
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.rigid import exp, inverse, quaternion_from_rotation, transform
 from gsdf_registration.common.samples import Sample
 from gsdf_registration.session import Session
+from gsdf_registration.session.record import landmark_from
 from gsdf_registration.simulation.moving import Sway
 from gsdf_registration.simulation.pivoting import (
     HIP_CENTRE,
@@ -134,6 +137,9 @@ def test_a_joint_centre_becomes_a_landmark_with_its_standard_deviation() -> None
     assert landmark.name == 'hip_centre' and landmark.model.tolist() == [0.1, 0.2, 0.3]
     error = float(np.linalg.norm(landmark.tracker - HIP_CENTRE))
     assert error < 3.0 * landmark.sigma_m < 0.015 and landmark.sigma_m > 0.002
+
+    record = json.loads(json.dumps(plain(landmark)))
+    assert landmark_from(record).sigma_m == landmark.sigma_m
 
     session.calibrations.find_joint_centre()        # once more: it replaces the one before
     swing(session, leg_swing(np.random.default_rng(1)))
