@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 
 from gsdf_registration.common.config import Config, settings
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.samples import Rejection
 from gsdf_registration.field import Field
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.live.worker import LiveWorker
@@ -308,11 +309,14 @@ class RegistrationNode(PreparedLifecycleNode):
     def _tick(self) -> None:
         if self.state in ('active', 'inactive'):
             self.files.check()
+        lost = 0 if self._inputs is None else self._inputs.take_lost()
+        if lost:
+            self.session.count_rejected({Rejection.LOST.value: lost})
         self._renew_hints()
         status = self._current_status()
         self._status.publish_diagnostics(status, self._live_status)
         causes = {cause: count for cause, count in status.rejected.items()
-                  if count and cause not in ('not_collecting', 'touched')}
+                  if count and cause not in ('not_collecting', 'touched', 'calibrating')}
         before, self._rejected = self._rejected, sum(causes.values())
         if self._rejected > before:     # lift-offs and the like are normal; `problem` is not
             counts = ', '.join(f'{count} {cause}' for cause, count in causes.items())
