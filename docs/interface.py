@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Write docs/interface.md, and the table in README.md, from the code and from a running node.
+Write docs/interface.md from the code and from a running node.
 
 Run ``python docs/interface.py`` after a change of a topic, a service, a status value or a
 parameter; a test fails until then.
@@ -30,8 +30,6 @@ from msg_adapters import results
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / 'docs/interface.md'
-README = ROOT / 'README.md'
-BEGIN, END = '<!-- written by docs/interface.py -->', '<!-- end of what it writes -->'
 
 # Parameters with which the node subscribes to everything it can
 PARAMETERS = {'probe.topics': "['/probe/tip']", 'probe.frame_id': 'tracker',
@@ -230,20 +228,6 @@ def page(table: list[Row]) -> str:
         *_parameters(), ''])
 
 
-def readme_table(table: list[Row]) -> str:
-    """Return the table in README.md."""
-    return '\n'.join(['| kind | name | type | meaning |', '|---|---|---|---|',
-                      *(f'| {row.kind} | `{row.name}` | {row.type} | {row.meaning} |'
-                        for row in table)])
-
-
-def with_table(readme: str, table: list[Row]) -> str:
-    """Return README.md with its table updated."""
-    head, _, rest = readme.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    return f'{head}{BEGIN}\n{readme_table(table)}\n{END}{tail}'
-
-
 def _row(kind: str, name: str, types: list[str], quality: str, meaning: str) -> Row:
     short = types[0].replace('/msg/', '/').replace('/srv/', '/')
     return Row(kind, name, short, quality, meaning)
@@ -296,7 +280,7 @@ def _parameters() -> Iterator[str]:
 
 
 def main() -> int:
-    """Start a node, inspect it and write both."""
+    """Start a node, inspect it and write the page."""
     from gsdf_registration.cli.demo import running
     with private_domain() as environment, tempfile.TemporaryDirectory() as folder:
         os.environ.update(environment)
@@ -308,7 +292,6 @@ def main() -> int:
             operator.spin_until(lambda: operator.state() == 'active', 'the node is not active')
             table = rows(operator, '/registration')
     PAGE.write_text(page(table))
-    README.write_text(with_table(README.read_text(), table))
     return 0
 
 

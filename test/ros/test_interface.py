@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface page and the table in the README describe the actual node."""
+"""The interface page describes the actual node."""
 
 from __future__ import annotations
 
@@ -33,9 +33,6 @@ def test_documents_are_up_to_date(start_node: StartNode) -> None:
     # without gsdf_registration_msgs its rows are not compared
     shown = str if results.available() else interface.untyped
     assert shown(interface.PAGE.read_text()) == interface.page(table), advice
-    readme = interface.README.read_text()
-    assert interface.BEGIN in readme
-    assert shown(readme) == interface.with_table(shown(readme), table), advice
 
 
 def test_describes_every_value_of_the_status(tracker: Tracker) -> None:
