@@ -148,17 +148,17 @@ def joint_landmark(found: FixedPoint, stamp: float, config: Config) -> CapturedL
     """
     Return a joint centre as a landmark; ``stamp``, s: of the last pose.
 
-    Its standard deviation combines that of the data, the largest effect of an error that varies
-    with the orientation (`Task.systematic`), and that of its place on the model: the entry in
-    ``landmarks.sigmas``, or `PLACE` if that list is empty.  With an entry of 0 the joint centre is
-    only part of the initial guess.
+    Its standard deviation combines that of the data, the effect of an error that varies with the
+    orientation (`Task.systematic`, taken as two standard deviations), and that of its place on the
+    model: the entry in ``landmarks.sigmas``, or `PLACE` if that list is empty.  With an entry of 0
+    the joint centre is only part of the initial guess.
     """
     assert found.point is not None and found.covariance is not None
     name = config.landmarks.joint_centre
     row = 3 * config.landmarks.names.index(name)
     place = config.landmarks.sigma_of(name) if config.landmarks.sigmas else PLACE
     variance = place**2 + float(np.trace(found.covariance[:3, :3])) / 3.0
-    variance += JOINT.systematic**2 / max(found.constraint or 0.0, 1e-12)
+    variance += (0.5 * JOINT.systematic)**2 / max(found.constraint or 0.0, 1e-12)
     return CapturedLandmark(name, np.array(config.landmarks.positions[row:row + 3]), found.point,
                             found.residual_rms or 0.0, stamp,
                             sigma_m=math.sqrt(variance) if place > 0.0 else 0.0)
