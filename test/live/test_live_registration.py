@@ -12,6 +12,7 @@ import pytest
 from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched_points
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.downsampling import farthest_point_sample
 from gsdf_registration.common.result import Reason
 from gsdf_registration.common.rigid import Array, exp, transform
 from gsdf_registration.common.samples import Points, without_tools
@@ -256,6 +257,19 @@ def test_uses_at_most_the_configured_number_of_points(small: tuple[Field, Array]
     assert error_of(steps[-1].pose, T_TRACKER_BONE, field) < 4e-4
 
 
+def test_starts_again_with_another_radius_of_the_tip(small: tuple[Field, Array]) -> None:
+    field, positions = small
+    live = LiveRegistration(field, Config())
+    run(live, positions)
+    running = assess(live)
+    live.config = Config().replaced({'probe.tip_radius': 0.001})
+    assert live.accept(running) is None and not live.ready and live.count == 0
+    live.follow(1, points_of(positions))
+    live.accept(assess(live))
+    assert live.assessment is not None      # the points lie inside the offset surface
+    assert live.assessment.residuals_m.mean() < -2e-4
+
+
 def test_is_not_ready_after_a_refused_registration_until_the_next_search(
         small: tuple[Field, Array]) -> None:
     field, positions = small
@@ -266,3 +280,26 @@ def test_is_not_ready_after_a_refused_registration_until_the_next_search(
     assert not live.ready and not live.search_due
     live.registration_finished(True)
     assert live.search_due
+
+
+@pytest.mark.parametrize('mode', ['touches', 'both'])
+def test_follows_touches_between_which_the_tip_moves_through_the_air(
+        hip: Field, optical_recording: tuple[Recording, Truth], mode: str) -> None:
+    recording, truth = optical_recording
+    on_bone = recording.positions[recording.positions[:, 0].argsort()]
+    near = np.abs(hip.sample(transform(np.linalg.inv(truth.T_tracker_bone), on_bone))[0]) < 3e-4
+    places = on_bone[near][farthest_point_sample(on_bone[near], 45)]
+    lift = places.mean(axis=0) - truth.T_tracker_bone[:3, 3]
+    lift *= 0.03 / np.linalg.norm(lift)
+    path, rng = [], np.random.default_rng(0)
+    for a, b in zip(places, np.roll(places, -1, axis=0)):
+        s = np.linspace(0.0, 1.0, 12)[:, None]
+        path += [np.repeat(a[None], 24, axis=0), a + s * (b - a) + np.sin(np.pi * s) * lift]
+    positions = np.concatenate(path) + 1.5e-4 * rng.normal(size=(45 * 36, 3))
+    live = LiveRegistration(hip, Config.from_flat({'collect.mode': mode}))
+    steps = run(live, positions)
+    last = steps[-1].assessment
+    assert last is not None and last.pose is not None and live.ready
+    assert last.used == len(last.pose.solution.touches) and last.used > 40
+    assert error_of(steps[-1].pose, truth.T_tracker_bone, hip) < 1e-3
+    assert len(last.weights) == len(positions)
