@@ -75,13 +75,15 @@ def run_trial(trial: AirTrial, config: Config) -> Row:
     recording = simulate_scan(patch, count, rng, tracker=tracker, hand=HAND, T_tracker_bone=T)
     path = simulate_air(recording, patch, field, rng, tracker)
     faulty = _with_faults(path, recording, rng)
-    air = {'none': None, 'tip': _recorded(path, recording, []),
+    air = {'tip': _recorded(path, recording, []),
            'shaft': _recorded(path, recording, SHAFT),
            'faulty': _recorded(faulty, recording, SHAFT)}
     row: Row = {'scenario': trial.scenario, 'points': len(recording.positions)}
+    without = found = _verdict(recording, field, config, None)
     for kind in EVIDENCE:
-        row |= {f'{kind}_{key}': value for key, value in _verdict(
-            recording, field, config, air[kind]).items()}
+        if kind != 'none' and without['reason'] == 'ambiguous':     # else the air is not used
+            found = _verdict(recording, field, config, air[kind])
+        row |= {f'{kind}_{key}': value for key, value in found.items()}
     return row
 
 
@@ -115,7 +117,7 @@ def _recorded(path: AirPath, recording: SimulatedRecording, shaft: list[float]) 
         x, y, z, qx, qy, qz, qw = tools[row].tolist()
         sample = Sample(tick / RATE, (x, y, z), '', '', tool=(x, y, z, qx, qy, qz, qw))
         rejection = None if on_bone[row] else Rejection.NOT_COLLECTING
-        air.add(sample, 0, rejection, False, GateConfig())
+        air.add(sample, 0, rejection, GateConfig())
     count = len(touching)
     points = Points(recording.positions, recording.stamps, touching, np.zeros(count, np.int32),
                     tools[:count])

@@ -76,8 +76,8 @@ def show(rows: list[Row]) -> None:
             lost = sum(row['none_verdict'] == 'right' != row[f'{kind}_verdict'] for row in chosen)
             wrong = [sum(row[f'{each}_verdict'] == 'wrong' for row in chosen)
                      for each in ('none', kind)]
-            more = float(np.median([row[f'{kind}_seconds'] - row['none_seconds']
-                                    for row in chosen]))
+            more = np.median([row[f'{kind}_seconds'] - row['none_seconds']
+                              for row in ambiguous]) if ambiguous else 0.0
             print(f'{scenario:<12}{len(chosen):>7}{len(ambiguous):>11}  {name:<15}'
                   f'{len(decided):>8}{decided.count("right"):>7}{decided.count("wrong"):>7}'
                   f'{decided.count("refused"):>7}{lost:>6}{wrong[0]:>14}{wrong[1]:>11}'

@@ -24,7 +24,7 @@ from gsdf_registration.registration.zone import required_part
 # Share of the points: with so many inliers on the bone, correlated residuals come from an
 # inaccurate model or tracker, for which the covariance allows, and not from another bone
 CLEAR_INLIERS = 0.93
-# Log-likelihood of the places in the air below which a pose is wrong: eleven places inside the bone
+# Log-likelihood of the places in the air below which they contradict a pose: eleven in the bone
 MIN_FREE = -24.0
 TOUCH_ELSEWHERE = 'touch other sides of the bone'
 
@@ -55,7 +55,7 @@ def rejection_reasons(candidate: Candidate, points: Array, field: Field,
     yield from _check_extent(on_bone, limits)
     yield from _check_fit(candidate, limits)
     yield from _check_landmarks(candidate)
-    yield from _check_free_space(candidate.selected.blocked)
+    yield from _check_free_space(candidate)
     touched = rigid.transform(candidate.solution.T_bone_tracker, on_bone)
     yield from _check_alternatives(candidate, touched, field, config)
     if not candidate.solution.converged:
@@ -134,14 +134,20 @@ def _check_fit(candidate: Candidate, limits: LimitsConfig) -> Iterator[Refusal]:
                       'this patient, this side and in this unit')
 
 
-def _check_free_space(blocked: Blocked) -> Iterator[Refusal]:
-    """Yield a refusal if the probe was where the bone would be."""
-    if blocked.log_likelihood < MIN_FREE:
+def _check_free_space(candidate: Candidate) -> Iterator[Refusal]:
+    """Yield a refusal if the air had to decide and is against all poses."""
+    selected = candidate.selected
+    if selected.decided_by_air and selected.blocked.log_likelihood < MIN_FREE:
         yield Refusal(Reason.MODEL_MISMATCH,
-                      f'the probe has been where the bone would be, at {blocked.places} of '
-                      f'{blocked.total} places and up to {format_length(blocked.depth)} deep; '
-                      'check that the model is of this patient and side, and the tip and shaft of '
-                      'the probe, or set collect.air to false if bone has been removed')
+                      f'several poses fit the points, and {_blocked_sentence(selected.blocked)}')
+
+
+def _blocked_sentence(blocked: Blocked) -> str:
+    """Return a sentence on the places in the air that are inside the bone."""
+    return (f'the probe has been where the bone would be, at {blocked.places} of {blocked.total} '
+            f'places and up to {format_length(blocked.depth)} deep; check that the model is of '
+            'this patient and side, and the tip and the shaft of the probe, or set collect.air to '
+            'false if bone has been removed')
 
 
 def _check_landmarks(candidate: Candidate) -> Iterator[Refusal]:
@@ -203,4 +209,7 @@ def acceptance_message(candidate: Candidate) -> str:
     if candidate.confidence.model_sd > 0.0:
         message += (', which includes a local error of the model or the tracker of '
                     f'{format_length(candidate.confidence.model_sd)} (SD)')
-    return f'{message}; {candidate.weakest_direction.sentence}'
+    message = f'{message}; {candidate.weakest_direction.sentence}'
+    if candidate.selected.blocked.log_likelihood < MIN_FREE:
+        message += f'; {_blocked_sentence(candidate.selected.blocked)}'
+    return message

@@ -21,7 +21,7 @@ from gsdf_registration.registration.acceptance import rejection_reasons, verdict
 from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import Confidence, assess_at
 from gsdf_registration.registration.evidence import Evidence
-from gsdf_registration.registration.free_space import NO_PLACES, places, start_poses
+from gsdf_registration.registration.free_space import NO_PLACES, blocked, places, start_poses
 from gsdf_registration.registration.input_checks import (
     check_points,
     check_selection,
@@ -208,12 +208,20 @@ def find_candidate(points: Array,
     started = perf_counter()
     found = find_start_poses(points, field, config.search, starts[0] if starts else None,
                              cancelled, progress, MOST_POSES)
-    found = start_poses(found, evidence.air, field, START_POSES)
     searched = perf_counter()
-    solutions = solve_all(points, field, [*starts, *found], config, history, cancelled, touches,
-                          evidence)
-    selected = select_pose(solutions, points, field, config.solver, evidence)
+
+    def select(poses: Array, known: Evidence) -> SelectedPose:
+        solutions = solve_all(points, field, [*starts, *poses], config, history, cancelled, touches,
+                              known)
+        return select_pose(solutions, points, field, config.solver, known)
+    air = evidence.air
+    selected = select(found[:START_POSES], replace(evidence, air=NO_PLACES))
+    if len(air) and selected.ambiguous(config.limits.min_gap):
+        # only here, so that the air never costs a pose about which there is no doubt
+        selected = select(start_poses(found, air, field, START_POSES), evidence)
+        selected = replace(selected, decided_by_air=True)
     confidence = assess_at(selected.solution, points, field, config.solver)
     selected, confidence = _with_landmarks(selected, confidence, points, field, evidence)
+    selected = replace(selected, blocked=blocked(air, selected.solution.T_bone_tracker, field))
     timing_s = {'search': searched - started, 'solve': perf_counter() - searched}
     return assess_candidate(selected, confidence, points, field, config, timing_s)

@@ -16,7 +16,7 @@ from gsdf_registration.common.result import LandmarkFit
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.evidence import Evidence
-from gsdf_registration.registration.free_space import NOTHING_BLOCKED, Blocked, blocked
+from gsdf_registration.registration.free_space import NOTHING_BLOCKED, Blocked
 from gsdf_registration.registration.landmark_evidence import slide
 from gsdf_registration.registration.local_solutions import SAME_MINIMUM, distance_of_poses
 from gsdf_registration.solver import (
@@ -57,6 +57,7 @@ class SelectedPose:
     residuals : (n,) float, metres, of all points used, at the pose
     alternatives : of AlternativePose, most likely first
     blocked : Blocked, the places in the air that are inside the bone
+    decided_by_air : bool, whether they were used to select the pose
     landmarks : of LandmarkFit, those with a standard deviation, at the pose
     """
 
@@ -64,6 +65,7 @@ class SelectedPose:
     residuals: Array
     alternatives: list[AlternativePose]
     blocked: Blocked = NOTHING_BLOCKED
+    decided_by_air: bool = False
     landmarks: tuple[LandmarkFit, ...] = ()
 
     @property
@@ -125,8 +127,7 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
                         judged[k].cost / max(judged[chosen].cost, 1e-12)) for k in minima[1:]]
     best = allow_for_model_error(best, points)
     residual = field.sample(rigid.transform(best.T_bone_tracker, points))[0]
-    return SelectedPose(best, residual, alternatives,
-                        blocked(evidence.air, best.T_bone_tracker, field))
+    return SelectedPose(best, residual, alternatives)
 
 
 class _JudgedPose(NamedTuple):

@@ -7,9 +7,10 @@ jumps and within three seconds.  A reading that the tracker got wrong is on no s
 position from long before or after a touch, when the bone may have been elsewhere: without a
 reference array nothing shows that it moved.
 
-Positions are samples while points are not collected, and collected points after a lift-off.  A tip
-that rests on the bone may be among them: it is not inside the bone either.  With the poses of a
-tool and ``probe.shaft``, the shaft behind the tip counts too, also while the tip is on the bone.
+Positions are samples while points are not collected.  Collected points after a lift-off count in
+the mixture of the solver.  A tip that rests on the bone may be among the samples: it is not inside
+the bone either.  With the poses of a tool and ``probe.shaft``, the shaft behind the tip counts too,
+also while the tip is on the bone.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Air:
         self._paths: dict[int, _Path] = {}
         self.rows: list[Row] = []
 
-    def add(self, sample: Sample, source: int, rejection: Rejection | None, lifted: bool,
+    def add(self, sample: Sample, source: int, rejection: Rejection | None,
             gate: GateConfig) -> list[Row]:
         """
         Follow the path of the tip; takes a few microseconds.
@@ -57,7 +58,6 @@ class Air:
         sample : Sample, with the position of the tip
         source : int
         rejection : why it is not collected, or None
-        lifted : whether the stroke of a collected sample began with a lift-off
         gate : GateConfig
 
         Returns
@@ -70,9 +70,9 @@ class Air:
             return []
         path = self._paths.setdefault(source, _Path())
         path.step(sample.stamp, sample.position, gate)
-        if rejection is None and not lifted:
+        if rejection is None:
             return self._keep(path.touch(sample.stamp))
-        if rejection in (None, Rejection.NOT_COLLECTING):
+        if rejection is Rejection.NOT_COLLECTING:
             return self._keep(path.leave(sample.stamp, (*sample.position, *(sample.tool or ()))))
         return []
 

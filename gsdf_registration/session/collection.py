@@ -224,10 +224,6 @@ class Collection:
         self._append(stream, source, sample)
         return None
 
-    def is_lifted(self, source: int) -> bool:
-        """Return whether the stroke of this source began with a lift-off."""
-        return source in self._streams and self._streams[source].lifted
-
     def _follow_recorded_strokes(self, number: int) -> None:
         """Start a stroke if the stroke number of a recording changes."""
         if self._recorded_stroke not in (None, number):

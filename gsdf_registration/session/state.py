@@ -120,8 +120,7 @@ class SessionState:
                                    *sample.position, *(sample.tool or ())])
         else:
             self._report('rejected', {rejection.value: 1})
-        lifted = self.collection.is_lifted(source)
-        for row in self.air.add(sample, source, rejection, lifted, self.config.gate):
+        for row in self.air.add(sample, source, rejection, self.config.gate):
             self._report('air', list(row))
         if rejection is None or not rejection.invalidates_sample:
             self.tip.add(sample, source, self.config.landmarks)

@@ -199,11 +199,17 @@ def test_an_expected_error_of_zero_is_never_reported() -> None:
 
 
 def test_a_pose_with_the_probe_inside_the_bone_is_rejected() -> None:
-    def blocked(log_likelihood: float) -> Candidate:
+    def blocked(log_likelihood: float, decided_by_air: bool = True) -> Candidate:
         air = Blocked(9, 120, 0.0123, log_likelihood)
-        return replace(accepted(), selected=replace(accepted().selected, blocked=air))
+        return replace(accepted(), selected=replace(accepted().selected, blocked=air,
+                                                    decided_by_air=decided_by_air))
     assert reasons(blocked(MIN_FREE)) == []
     [refusal] = rejected_by(blocked(MIN_FREE - 0.1))
     assert refusal.reason is Reason.MODEL_MISMATCH
-    assert refusal.message.startswith('the probe has been where the bone would be, at 9 of 120 '
-                                      'places and up to 12.3 mm deep; check')
+    inside = ('the probe has been where the bone would be, at 9 of 120 places and up to 12.3 mm '
+              'deep; check')
+    assert refusal.message.startswith(f'several poses fit the points, and {inside}')
+    # the points alone leave no doubt
+    clear = blocked(MIN_FREE - 0.1, False)
+    assert reasons(clear) == [] and inside in acceptance_message(clear)
+    assert inside not in acceptance_message(blocked(MIN_FREE))

@@ -34,11 +34,10 @@ AIR = Rejection.NOT_COLLECTING
 TURNED = (0.0, 0.0, 1.0, 0.0)       # half a turn about z
 
 
-def fly(air: Air, heights: Array, rejection: Rejection | None = AIR, start: float = 0.0,
-        lifted: bool = False) -> int:
+def fly(air: Air, heights: Array, rejection: Rejection | None = AIR, start: float = 0.0) -> int:
     """Move the tip through these heights, 50 samples per second; return how many are kept."""
     return sum(len(air.add(Sample(start + 0.02 * k, (0.0, 0.0, float(z)), 'tracker', 'tip'), 0,
-                           rejection, lifted, GATE)) for k, z in enumerate(heights))
+                           rejection, GATE)) for k, z in enumerate(heights))
 
 
 UP, DOWN = np.arange(1, 11) * 0.004, np.arange(10, 0, -1) * 0.004
@@ -84,12 +83,6 @@ def test_a_position_long_after_the_touch_does_not_count() -> None:
     still = np.full(round(REACH / 0.02) + 10, 0.004)
     assert fly(air, still, start=0.1) == 1
     assert fly(air, UP, start=0.1 + 0.02 * len(still)) == 0
-
-
-def test_collected_points_after_a_lift_off_count() -> None:
-    air = Air()
-    fly(air, ON_BONE, None)
-    assert fly(air, UP, None, start=0.1, lifted=True) == 10
 
 
 @pytest.mark.parametrize('cause', [Rejection.TOO_FAST, Rejection.NO_REFERENCE,
