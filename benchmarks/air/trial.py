@@ -31,9 +31,9 @@ from gsdf_registration.simulation.probe import (
 )
 
 # minimum and maximum number of points: so few that several poses fit them
-SCENARIOS = {'region': (40, 200), 'window': (40, 200), 'cup_only': (40, 200),
+SCENARIOS = {'region': (100, 300), 'window': (100, 300), 'cup_only': (100, 400),
              'shaft_only': (200, 800)}
-WINDOW = (0.018, 0.028)     # m, radius of a window
+WINDOW = (0.022, 0.032)     # m, radius of a window
 SIGMA = 5e-4                # m, noise per axis
 HAND = Hand(stroke=0.02, speed=0.08)    # short strokes with few points
 NEAR_TRUTH = 0.005          # m, maximum error at the touched points of a right pose (RMS)
