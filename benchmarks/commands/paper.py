@@ -33,7 +33,8 @@ translations of up to 1 m. {machine}.
 "landmarks": a pose from three landmarks, each touched 4 mm off. "centroids": the centroid of the
 points on the centroid of the bone, without rotation, as published. "none": the method searches
 globally, and an ICP (Open3D, point-to-plane, Tukey) follows. All of them get the points after the
-same density filter, and the noise level. Each runs in a separate process on one thread, with its
+same density filter, and the noise level. With single touches all methods start from landmarks that
+are 3 mm off. Each runs in a separate process on one thread, with its
 model prepared beforehand, and is stopped after {limit:.0f} s.
 
 The settings of the other libraries are the best of a few tried by hand on other seeds; ours are
@@ -62,7 +63,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--methods', metavar='NAME,...', default='*',
                         help='only these methods; * matches any text (default: all)')
     parser.add_argument('--tables', metavar='NAME,...', default='*',
-                        help='only these of regions, noise, outliers, structured, model '
+                        help='only these of regions, noise, outliers, structured, model, touches '
                         '(default: all)')
     parser.add_argument('--output', '-o', metavar='DIR', default='paper',
                         help='folder for trials.tsv, figures.tsv, tables.md and plots.html '

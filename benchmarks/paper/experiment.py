@@ -25,7 +25,7 @@ from benchmarks.peers.peer_process import PeerError, PeerProcess
 from benchmarks.protocol import cases
 from benchmarks.protocol.cases import Case
 from benchmarks.protocol.scoring import PoseErrors, cramer_rao, pose_errors, verdict
-from benchmarks.protocol.starts import from_centroids, from_landmarks
+from benchmarks.protocol.starts import from_centroids, from_landmarks, given_landmarks
 from benchmarks.protocol.trials import SCENARIOS, Problem, Trial, make
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.point_filters import filter_isolated
@@ -42,7 +42,8 @@ TABLES = {
     'noise': ('clean', 'sigma_0.7', 'sigma_0.9', 'sigma_1.2'),
     'outliers': ('uniform_10', 'uniform_30', 'uniform_50', 'uniform_70', 'uniform_90'),
     'structured': ('soft_tissue_40', 'lift_off_40', 'other_object_40', 'resting_30', 'mixed_40'),
-    'model': ('model_off',)
+    'model': ('model_off',),
+    'touches': ('touches_40', 'touches_40_soft_10', 'touches_40_soft_20')
 }
 SAMPLED = ('clean', 'anisotropic', 'uniform_50', 'mixed_40')    # scenarios for slow methods
 
@@ -136,8 +137,9 @@ def run_trial(job: Job) -> Row:
 
 
 def _ours(job: Job, problem: Problem) -> Answer:
-    """Return the answer of the whole pipeline, given only the points."""
-    result = register(problem.recording.positions, problem.field, job.config)
+    """Return the answer of the whole pipeline, given the points and the landmarks, if any."""
+    result = register(problem.recording.positions, problem.field, job.config,
+                      landmarks=given_landmarks(problem))
     return Answer('answered' if result.success else 'refused', str(result.reason),
                   result.T_tracker_bone, result.timing_s.get('total'),
                   result.predicted_tre_m.get('rms'),

@@ -94,7 +94,8 @@ def markdown(rows: Sequence[Row], missing: Mapping[str, str], caption: str) -> s
                       'Chamfer distance (mm), success', _table(_regions(rows, scenario))]
     for name, what in (('noise', 'Noise'), ('outliers', 'Outliers'),
                        ('structured', 'Structured interference'),
-                       ('model', 'Inaccurate model, 0.3 mm (SD)')):
+                       ('model', 'Inaccurate model, 0.3 mm (SD)'),
+                       ('touches', 'Single touches, 0.3 mm; all methods with the same landmarks')):
         scenarios = [scenario for scenario in TABLES[name] if scenario in present]
         if scenarios:
             parts += [f'## {what}', 'MAE of rotation (degrees) / MAE of translation at the '

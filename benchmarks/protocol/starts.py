@@ -12,19 +12,31 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.registration.landmarks import pose_from_landmarks
 
-LANDMARK_ERROR = 0.004  # m, between a landmark and the touched point
+# m, between a landmark and the touched point: for methods that need a start, and where landmarks
+# belong to the scenario
+LANDMARK_ERROR, GIVEN_ERROR = 0.004, 0.003
 REACH = 0.12            # m, from the centroid of the points to a landmark
 
 
 def from_landmarks(problem: Problem) -> Array:
-    """Return T_bone_tracker from three landmarks with errors of 4 mm, seeded by the trial."""
+    """Return T_bone_tracker from three landmarks."""
+    return rigid.inverse(pose_from_landmarks(*touched_landmarks(problem))[0])
+
+
+def given_landmarks(problem: Problem) -> tuple[Array, Array] | None:
+    """Return the `touched_landmarks` if they belong to the scenario, else None."""
+    return touched_landmarks(problem) if problem.trial.scenario.landmarks else None
+
+
+def touched_landmarks(problem: Problem) -> tuple[Array, Array]:
+    """Return three landmarks (3, 3) in the bone frame, and touched, m, seeded by the trial."""
     surface = problem.field.surface_points.astype(np.float64)
     places = landmark_places(surface, problem.touched.mean(axis=0))
     rng = np.random.default_rng(zlib.crc32(f'landmarks {problem.trial.name}'.encode()))
     error = rng.normal(size=places.shape)
-    error *= LANDMARK_ERROR / np.linalg.norm(error, axis=1, keepdims=True)
-    touched = rigid.transform(problem.recording.T_tracker_bone, places) + error
-    return rigid.inverse(pose_from_landmarks(places, touched)[0])
+    size = GIVEN_ERROR if problem.trial.scenario.landmarks else LANDMARK_ERROR
+    error *= size / np.linalg.norm(error, axis=1, keepdims=True)
+    return places, rigid.transform(problem.recording.T_tracker_bone, places) + error
 
 
 def from_centroids(problem: Problem, points: Array) -> Array:

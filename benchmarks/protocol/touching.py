@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import zlib
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from gsdf_registration.common import rigid
@@ -15,11 +12,7 @@ from gsdf_registration.simulation.patch import Patch
 from gsdf_registration.simulation.probe import SimulatedRecording, Tracker, measure
 from gsdf_registration.simulation.touches import Touching, touched_places
 
-if TYPE_CHECKING:
-    from benchmarks.protocol.trials import Problem
-
 DURATION = (1.0, 120.0)     # s, of a rest
-LANDMARK_ERROR = 0.003      # m, of the landmarks that are given with touches
 
 
 def single_touches(patch: Patch, count: int, soft_tissue: float, tracker: Tracker,
@@ -56,16 +49,3 @@ def with_rest(recording: SimulatedRecording, patch: Patch, off: tuple[float, flo
         np.insert(recording.tips, at, tips, axis=0),
         np.insert(recording.kinds, at, np.full(len(tips), Kind.SOFT_TISSUE, dtype=np.uint8)),
         strokes.astype(np.int32), recording.T_tracker_bone)
-
-
-def touched_landmarks(problem: Problem) -> tuple[Array, Array] | None:
-    """Return three landmarks on the model and where they were touched, 3 mm off, m; or None."""
-    from benchmarks.protocol.starts import landmark_places
-    if not problem.trial.scenario.landmarks:
-        return None
-    surface = problem.field.surface_points.astype(np.float64)
-    places = landmark_places(surface, problem.touched.mean(axis=0))
-    rng = np.random.default_rng(zlib.crc32(f'landmarks {problem.trial.name}'.encode()))
-    error = rng.normal(size=places.shape)
-    error *= LANDMARK_ERROR / np.linalg.norm(error, axis=1, keepdims=True)
-    return places, rigid.transform(problem.recording.T_tracker_bone, places) + error

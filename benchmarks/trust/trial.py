@@ -16,7 +16,7 @@ from benchmarks.protocol.scoring import (
     verdict,
     well_posed,
 )
-from benchmarks.protocol.touching import touched_landmarks
+from benchmarks.protocol.starts import given_landmarks
 from benchmarks.protocol.trials import Problem, Trial, make
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import RegistrationResult
@@ -35,7 +35,7 @@ def run_trial(trial: Trial, config: Config) -> Row:
     problem = make(trial)
     config = config.replaced({'probe.tip_radius': trial.scenario.tip_radius})
     result = register(problem.recording.positions, problem.field, config,
-                      landmarks=touched_landmarks(problem))
+                      landmarks=given_landmarks(problem))
     return trial_row(problem, result, config)
 
 
@@ -77,6 +77,6 @@ def is_found(problem: Problem, bound: Confidence, result: RegistrationResult,
     """
     if result.T_tracker_bone is None:
         result = register(problem.recording.positions, problem.field, config.replaced(LENIENT),
-                          landmarks=touched_landmarks(problem))
+                          landmarks=given_landmarks(problem))
     return (result.T_tracker_bone is not None
             and pose_errors(result.T_tracker_bone, problem, bound).tre_region_m < NEAR_TRUTH)
