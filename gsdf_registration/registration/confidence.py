@@ -21,7 +21,7 @@ from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.motions import inverse, motion_between
-from gsdf_registration.solver import Solution, before, nearest_neighbours
+from gsdf_registration.solver import PARAMETERS, Solution, before, nearest_neighbours
 
 # 95 % quantile of chi-square for 1 to 3 degrees of freedom
 FREEDOM = np.linspace(1.0, 3.0, 65)
@@ -230,8 +230,11 @@ def _confidence(solution: Solution, points: Array, noise: Array, correlation: fl
 def _noise_covariance(solution: Solution) -> Array | None:
     """Return the covariance of `assess` without an error of the model."""
     w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
+    # the pose fits a part of the noise of a few touches, and an estimate from few is uncertain:
+    # the variance of Student's t, n / (n - 2) for n degrees of freedom
+    fitted = PARAMETERS + 2.0 if len(solution.touches) else 0.0
     variance = solution.model_error.noise**2 if solution.model_error is not None else float(
-        ((w * p * e) ** 2).sum() / max((w**2).sum(), 1e-300))
+        ((w * p * e) ** 2).sum() / max((w**2).sum() - fitted, 1.0 if fitted else 1e-300))
     return _covariance(solution, solution.jacobian, variance)
 
 

@@ -6,9 +6,10 @@ from gsdf_registration.solver.mixture import patch_likelihood
 from gsdf_registration.solver.model_error import ModelError
 from gsdf_registration.solver.neighbourhood import Neighbourhood, nearest_neighbours
 from gsdf_registration.solver.solution import Estimates, Solution
-from gsdf_registration.solver.touches import NO_TOUCHES, before, touch_deviations
+from gsdf_registration.solver.touches import NO_TOUCHES, PARAMETERS, before, touch_deviations
 
 __all__ = [
-    'NO_TOUCHES', 'Estimates', 'ModelError', 'Neighbourhood', 'Solution', 'allow_for_model_error',
-    'before', 'nearest_neighbours', 'patch_likelihood', 'refine', 'solve', 'touch_deviations'
+    'NO_TOUCHES', 'PARAMETERS', 'Estimates', 'ModelError', 'Neighbourhood', 'Solution',
+    'allow_for_model_error', 'before', 'nearest_neighbours', 'patch_likelihood', 'refine', 'solve',
+    'touch_deviations'
 ]
