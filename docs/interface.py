@@ -116,7 +116,8 @@ REASONS = {
     Reason.UNDER_CONSTRAINED: 'the points do not constrain the pose; touch where the sentence says',
     Reason.AMBIGUOUS: 'several poses fit; touch where they differ, as the sentence says',
     Reason.TOO_FEW_INLIERS: 'most points are not on this bone: another bone, or a bent probe',
-    Reason.MODEL_MISMATCH: 'the points fit no better than on another bone: wrong patient or side',
+    Reason.MODEL_MISMATCH: 'the points fit no better than on another bone: wrong patient or side; '
+                           'or most landmarks contradict them',
     Reason.NOT_CONVERGED: 'the solver did not converge; start from landmarks, or touch more',
     Reason.WRONG_UNIT: 'a length is a thousand times too large or too small: mm taken for m',
     Reason.BAD_INPUT: 'an input cannot be used; the sentence says which',
