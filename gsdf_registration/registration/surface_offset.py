@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.formatting import format_length
 from gsdf_registration.common.result import INLIER_WEIGHT
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
@@ -49,7 +48,7 @@ class SurfaceOffset(NamedTuple):
         """What it means and what to check."""
         side = 'outside' if self.distance > 0.0 else 'inside'
         cartilage = ', or is it cartilage?' if self.distance > 0.0 else ''
-        return (f'the points lie {format_length(abs(self.distance))} {side} the bone on average: '
+        return (f'the points lie {1e3 * abs(self.distance):.1f} mm {side} the bone on average: '
                 f'check probe.tip_radius and the tip{cartilage}')
 
 

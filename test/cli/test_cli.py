@@ -105,6 +105,32 @@ def test_register_end_to_end(job: Path) -> None:
         'model.voxel_size'] == 0.002
 
 
+def test_registers_the_centres_of_a_ball_tip(job: Path, tmp_path: Path) -> None:
+    directions = trimesh.creation.icosphere(subdivisions=4).vertices[::8]
+    normals = directions / [0.03, 0.045, 0.07]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    centres = directions * [0.03, 0.045, 0.07] + 0.001 * normals
+    points = tmp_path / 'centres.csv'
+    np.savetxt(points, 1e3 * transform(T_TRACKER_BONE, centres), delimiter=',', header='x,y,z',
+               comments='')
+    done = gsdf(*(points if word == 'points.csv' else word for word in REGISTER), *MARKED,
+                '--tip-radius', 1, '--json', tmp_path / 'pose.json')
+    assert (done.returncode, done.stderr) == (0, ''), done.stdout
+    outcome = json.loads((tmp_path / 'pose.json').read_text())
+    assert outcome['config']['probe.tip_radius'] == 0.001 and outcome['residual_rms_m'] < 1e-4
+    T = np.array(outcome['T_tracker_bone'])
+    assert np.abs(transform(T, LANDMARKS) - transform(T_TRACKER_BONE, LANDMARKS)).max() < 2e-4
+
+
+@pytest.mark.parametrize('radius, says', [
+    ('-1', 'probe.tip_radius must lie in [0, 0.01] m, not -0.001'),
+    ('1500', 'probe.tip_radius must lie in [0, 0.01] m, not 1.5'),
+    ('nan', 'probe.tip_radius must be a finite number, not nan')])
+def test_rejects_a_radius_that_no_tip_has(capsys: pytest.CaptureFixture[str], radius: str,
+                                          says: str) -> None:
+    assert says in error_of(capsys, *REGISTER, '--tip-radius', radius)
+
+
 def test_json_on_standard_output_is_pure_json() -> None:
     done = gsdf(*REGISTER, *MARKED, '--json', '-')
     assert done.returncode == 0 and json.loads(done.stdout)['success'] is True

@@ -238,6 +238,18 @@ def test_pose_is_published_until_it_is_withdrawn(start_node: StartNode, tmp_path
         assert client.ask('load').success
         found = air.expect_pose()
 
+        # the radius of the ball tip is changed: the points, which are its centres, stay
+        count = client.status()['points']['total']
+        radius = Parameter('probe.tip_radius', value=0.001)
+        assert client.set_parameters(radius) == ''
+        air.expect_withdrawal(Withdrawal.TIP_CHANGED, found)
+        assert client.status()['points']['total'] == count
+        refused = client.set_parameters(Parameter('probe.tip_radius', value=-0.001))
+        assert 'probe.tip_radius' in refused
+        assert client.set_parameters(Parameter('probe.tip_radius', value=0.0)) == ''
+        assert client.ask('load').success
+        found = air.expect_pose()
+
         # a session without a registration is loaded
         assert client.set_parameters(Parameter('session.path', value=str(empty))) == ''
         assert client.ask('load').success
