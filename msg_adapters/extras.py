@@ -4,9 +4,16 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from typing import Any
 
 from gsdf_registration.common.result import InputError
+
+
+def require(module: str, extra: str, what: str) -> None:
+    """Raise `InputError` if a module of an extra is not installed; arguments as of `needed`."""
+    if importlib.util.find_spec(module) is None:
+        raise _missing(module, extra, what)
 
 
 def needed(module: str, extra: str, what: str) -> Any:
@@ -28,5 +35,9 @@ def needed(module: str, extra: str, what: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise InputError(f'{what} need {module.partition(".")[0]}, which is not installed: '
-                         f"pip install 'gsdf_registration[{extra}]'") from None
+        raise _missing(module, extra, what) from None
+
+
+def _missing(module: str, extra: str, what: str) -> InputError:
+    return InputError(f'{what} need {module.partition(".")[0]}, which is not installed: '
+                      f"pip install 'gsdf_registration[{extra}]'")

@@ -70,7 +70,8 @@ def test_a_damaged_file_is_named(tmp_path: Path, name: str, capfd: pytest.Captur
                                  ) -> None:
     path = write(tmp_path / name, poly_data())
     content = path.read_bytes()
-    for damaged in (content[:len(content) // 2], b'not a file of VTK'):
+    for damaged in (content[:len(content) // 2], b'not a file of VTK',
+                    b'# vtk DataFile Version 5.1\n\nASCII\nDATASET POLYDATA\nPOINTS 9 float\n1'):
         path.write_bytes(damaged)
         with pytest.raises(InputError) as caught:
             read_model(path, 'mm')
