@@ -237,3 +237,8 @@ def test_arbitrary_landmarks_do_not_raise(model: Any, tracker: Any) -> None:
     with np.errstate(all='ignore'):
         result = register(measured(), bone_field(), landmarks=(model, tracker))
     assert isinstance(result.reason, Reason) and result.message
+
+
+@pytest.mark.parametrize('landmarks', [(), 3, (LANDMARKS,), (LANDMARKS, 'a'), [1, 2, 3]])
+def test_landmarks_of_another_form_are_refused(landmarks: Any) -> None:
+    refused(register(measured(), bone_field(), landmarks=landmarks), Reason.BAD_INPUT)
