@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, gaussian_filter
 
+from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from msg_adapters.dicom_seg import read_dicom_mask
@@ -75,6 +76,9 @@ def read_segmentation(path: Path, label: str = '') -> tuple[Array, NDArray[np.in
     spacing = np.linalg.norm(mask.T_lps_index[:3, :3], axis=0)
     # the same length in all directions: thick slices have the highest steps
     smooth = gaussian_filter(cropped.astype(np.float32), np.cbrt(spacing.prod()) / spacing)
+    if smooth.max() <= 0.5:
+        raise InputError(f'{path}: the label has only '
+                         f'{format_count(int(mask.inside.sum()), "voxel")}; choose the bone')
     vertices, faces, _, _ = measure.marching_cubes(smooth, 0.5, gradient_direction='ascent',
                                                    allow_degenerate=False)
     vertices = (vertices + offset) @ mask.T_lps_index[:3, :3].T + mask.T_lps_index[:3, 3]
@@ -85,6 +89,7 @@ def read_segmentation(path: Path, label: str = '') -> tuple[Array, NDArray[np.in
 
 def _read_label_map(path: Path, label: str) -> Mask:
     sitk = needed('SimpleITK', 'ct', 'segmentations')
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
     try:
         image = sitk.ReadImage(str(path))
     except RuntimeError as error:

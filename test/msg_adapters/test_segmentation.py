@@ -141,8 +141,12 @@ def test_an_image_is_no_segmentation(tmp_path: Path) -> None:
     SimpleITK.WriteImage(SimpleITK.GetImageFromArray(values), str(tmp_path / 'ct.nii.gz'))
     SimpleITK.WriteImage(SimpleITK.GetImageFromArray(values[0]), str(tmp_path / 'slice.nii.gz'))
     SimpleITK.WriteImage(image(np.zeros((9, 9, 9)), np.eye(4)), str(tmp_path / 'empty.nrrd'))
+    speck = np.zeros((9, 9, 9))
+    speck[4, 4, 4] = 1
+    SimpleITK.WriteImage(image(speck, np.eye(4)), str(tmp_path / 'speck.nrrd'))
     for name, words in (('ct.nii.gz', 'is an image, not a segmentation'),
-                        ('slice.nii.gz', 'has 2 dimensions'), ('empty.nrrd', 'has 0 labels')):
+                        ('slice.nii.gz', 'has 2 dimensions'), ('empty.nrrd', 'has 0 labels'),
+                        ('speck.nrrd', 'the label has only 1 voxel')):
         with pytest.raises(InputError, match=words):
             read_model(tmp_path / name, 'mm')
 
