@@ -239,11 +239,11 @@ def test_pose_is_published_until_it_is_withdrawn(start_node: StartNode, tmp_path
         found = air.expect_pose()
 
         # the radius of the ball tip is changed: the points, which are its centres, stay
-        count = client.status()['points']['total']
+        count = client.status()['kept']
         radius = Parameter('probe.tip_radius', value=0.001)
         assert client.set_parameters(radius) == ''
         air.expect_withdrawal(Withdrawal.TIP_CHANGED, found)
-        assert client.status()['points']['total'] == count
+        assert client.status()['kept'] == count
         refused = client.set_parameters(Parameter('probe.tip_radius', value=-0.001))
         assert 'probe.tip_radius' in refused
         assert client.set_parameters(Parameter('probe.tip_radius', value=0.0)) == ''
