@@ -14,7 +14,12 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
-from gsdf_registration.common.result import Refusal, RegistrationResult, as_numbers
+from gsdf_registration.common.result import (
+    InputError,
+    Refusal,
+    RegistrationResult,
+    as_numbers,
+)
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.acceptance import rejection_reasons, verdict
@@ -133,7 +138,12 @@ def _evidence(landmarks: Landmarks | tuple[ArrayLike, ArrayLike] | None,
     if landmarks is None:
         landmarks = NO_LANDMARKS
     elif not isinstance(landmarks, Landmarks):
-        landmarks = Landmarks.of(*landmarks)
+        try:
+            model, touched = landmarks
+        except (TypeError, ValueError):
+            raise InputError('landmarks must be two arrays: the positions on the model and the '
+                             'touched positions') from None
+        landmarks = Landmarks.of(model, touched)
     return Evidence(for_tip(landmarks, field), NO_PLACES if air is None else places(air))
 
 
