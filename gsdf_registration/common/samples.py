@@ -42,6 +42,7 @@ class Rejection(str, Enum):
     NO_REFERENCE = 'no_reference'   # no pose of the reference array at this stamp
     NOT_MONOTONIC = 'not_monotonic'
     STALE = 'stale'
+    LOST = 'lost'           # before the node could take it: its queue was full, or the network
     POOR_QUALITY = 'poor_quality'
     CALIBRATING = 'calibrating'     # used to find the tip of the probe or a joint centre
     NOT_COLLECTING = 'not_collecting'

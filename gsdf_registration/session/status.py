@@ -62,6 +62,8 @@ _ADVICE = {
     Rejection.NOT_MONOTONIC:
         'most stamps do not ascend: does the driver set them? If a recording restarted, clear',
     Rejection.STALE: 'most points arrive late: is the network or the computer overloaded?',
+    Rejection.LOST:
+        'most points were lost before the node could take them: is the computer overloaded?',
     Rejection.POOR_QUALITY:
         'the tracker reports large errors: turn the probe towards it, keep metal away',
     Rejection.DUPLICATE:

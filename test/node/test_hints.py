@@ -98,6 +98,23 @@ def test_reports_that_no_point_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 'is the probe in view' in sentences(Graph({'/probe/tip': [endpoint()]}), waiting=True)[0]
 
 
+def test_reports_lost_messages_for_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(hints.time, 'monotonic', lambda: clock[0])
+    arrivals = Arrivals()
+    assert arrivals.hints() == []
+    arrivals.lose(['/probe/tip'])
+    arrivals.lose([])
+    clock[0] = 50.0
+    (hint,) = arrivals.hints()
+    assert hint.warning and hint.sentence.startswith('messages on /probe/tip were lost before')
+    clock[0] = 70.0
+    assert arrivals.hints() == []
+    arrivals.lose(['/probe/tip'])
+    arrivals.restart()
+    assert arrivals.hints() == []
+
+
 @pytest.mark.parametrize('behind, words', [
     (60 * 365.25 * 86400.0, 'more than a year behind'), (-100.0, 'more than a minute ahead of'),
     (11.0, 'more than 10 s behind')])
