@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import re
+import socket
 import time
 from collections import Counter
 from types import TracebackType
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 PORT = 18944            # of a PLUS server
 TRACKER = 'tracker'     # frame of a transform that names none
 RIGID = 1e-3            # tolerance of the rotation; messages have single precision
-SILENCE = 3.0           # s without any message, after which the connection is made again
 NAME_LENGTH = 20        # bytes of a device name in the header of a message
 
 
@@ -61,7 +61,6 @@ class ToolStream:
         self._address = host, port
         self._messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._client: Any = None
-        self._heard = 0.0
         self.dropped: Counter[tuple[str, str]] = Counter()
 
     def __enter__(self) -> Self:
@@ -86,20 +85,23 @@ class ToolStream:
             messages.append(self._messages.get(timeout=timeout))
             while True:
                 messages.append(self._messages.get_nowait())
-        now = time.monotonic()
-        if messages:
-            self._heard = now
-        elif now - self._heard > SILENCE:
+        if not messages and self._closed_by_server():
             self._client.stop()
             self._connect()
         return [reading for reading in map(self._reading, messages) if reading is not None]
 
     def _connect(self) -> None:
-        self._heard = time.monotonic()
         self._client = self._pyigtl.OpenIGTLinkClient(*self._address, start_now=False)
         # pyigtl keeps only the last message of each device
         self._client.incoming_messages = _Inbox(self._messages)
         self._client.start()
+
+    def _closed_by_server(self) -> bool:
+        """Return whether the server is gone, which pyigtl does not notice."""
+        try:
+            return self._client.socket.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b''
+        except (AttributeError, OSError):       # not connected, or nothing to receive
+            return False
 
     def _reading(self, message: Any) -> ToolReading | None:
         """Return the reading of a transform, None for other messages and unusable ones."""

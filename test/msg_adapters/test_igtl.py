@@ -14,7 +14,6 @@ import pytest
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import exp
-from msg_adapters import igtl
 from msg_adapters.igtl import PoseServer, ToolReading, ToolStream, frames_of, ros_name
 
 T = exp([0.3, -0.5, 0.8, 0.1, 0.25, -0.4])
@@ -92,9 +91,7 @@ def test_transforms_of_tools_that_are_not_tracked_are_counted(port: int) -> None
         server.stop()
 
 
-def test_connects_again_after_the_server_was_restarted(
-        port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(igtl, 'SILENCE', 0.2)
+def test_connects_again_after_the_server_was_restarted(port: int) -> None:
     with ToolStream('127.0.0.1', port) as stream:
         for stamp in (1.0, 2.0):
             server = pyigtl.OpenIGTLinkServer(port=port)
