@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import logging
+import math
 import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -118,8 +119,8 @@ class CollectConfig:
                         'rests), or both', choices=('strokes', 'touches', 'both'))
     max_points: int = setting(200_000, 'maximum number of collected points; further points are '
                               'rejected', '', 100, 10_000_000)
-    air: bool = setting(True, 'also use where the probe was in the air, as no bone is there; set it '
-                        'to false if bone of the model has been removed')
+    air: bool = setting(True, 'also use where the probe was in the air, as no bone is there; set '
+                        'it to false if bone of the model has been removed')
 
 
 @dataclass(frozen=True)
@@ -395,6 +396,11 @@ class Config:
                              f'not at {self.probe.tip}; it is in metres')
         if self.probe.shaft and not any(self.probe.shaft):
             raise InputError('probe.shaft must have a direction, not 0 0 0')
+        # the origin of the tool is on the side of the handle, if it is not the tip
+        along = -sum(a * b for a, b in zip(self.probe.shaft, self.probe.tip))
+        if along < -0.5 * math.hypot(*self.probe.shaft) * math.hypot(*self.probe.tip):
+            raise InputError(f'probe.shaft {self.probe.shaft} points from the handle to the tip '
+                             f'{self.probe.tip}; turn it, so that it points to the handle')
 
     def named(self, prefix: str = '') -> Config:
         """Return a copy with ``prefix`` and a default for each of `NAMES` that is empty."""

@@ -169,6 +169,16 @@ def test_values_survive_a_yaml_file(voxel: float, points: int, topics: list[str]
     assert Config.from_nested(yaml.safe_load(yaml.safe_dump(nested))) == config
 
 
+def test_the_shaft_points_from_the_tip_to_the_handle() -> None:
+    tip = [0.0, 0.01, -0.15]
+    for shaft in ([], [0.0, 0.0, 2.0], [1.0, 0.0, 0.0]):
+        assert Config.from_flat({'probe.tip': tip, 'probe.shaft': shaft}).probe.shaft == shaft
+    with pytest.raises(InputError, match='probe.shaft .* points from the handle to the tip'):
+        Config.from_flat({'probe.tip': tip, 'probe.shaft': [0.0, 0.0, -1.0]})
+    origin_at_tip = {'probe.tip': [0.0, 0.0, 0.0], 'probe.shaft': [0.0, 0.0, -1.0]}
+    assert Config.from_flat(origin_at_tip).probe.shaft
+
+
 def test_the_file_named_in_an_error_exists() -> None:
     with pytest.raises(InputError) as refusal:
         Config.from_flat({'nothing.like_it': 1})
