@@ -13,11 +13,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
+    from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.field import Field
     from msg_adapters.slicer import PointList
 
@@ -98,6 +98,7 @@ def check_axes(landmarks: Landmarks | None, field: Field, axes: Axes) -> None:
 
 def _read_pairs(path: str, model_unit: str, unit: str) -> Landmarks:
     """Return the landmarks of a CSV in these units, or of a truth YAML."""
+    from gsdf_registration.common.landmarks import Landmarks
     from msg_adapters.points import read_landmarks
     from msg_adapters.truth import read_truth
     if Path(path).suffix.lower() not in ('.yaml', '.yml'):
@@ -110,6 +111,7 @@ def _read_pairs(path: str, model_unit: str, unit: str) -> Landmarks:
 
 def _paired(paths: list[str], axes: Axes) -> Landmarks:
     """Return the landmarks of two point lists, matched by their labels."""
+    from gsdf_registration.common.landmarks import Landmarks
     from msg_adapters.slicer import read_point_lists
     if len(paths) == 1:
         lists = read_point_lists(paths[0], axes.model)
