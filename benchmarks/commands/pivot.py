@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 LIBRARY = 'scikit-surgerycalibration'
 SECONDS, RATE = 20.0, 20.0
+JOINT = 'swing of a leg, 30 s'    # its hip moves slowly by 1.5 mm per axis
 PEER_LIMIT = 3600.0     # s, for all recordings
 
 
@@ -30,7 +31,8 @@ def add_parser(subparsers: Any) -> None:
         'pivot', help='compare pivot calibration with scikit-surgerycalibration',
         description='Measure the error of the tip in simulated pivot recordings, also with the '
         'three methods of scikit-surgerycalibration. The recordings have noise only, noisy '
-        'orientations, wrong readings, slips of the tip, or poses on the way to the divot.',
+        'orientations, wrong readings, slips of the tip, or poses on the way to the divot. In '
+        'the last scenario a leg swings about its hip.',
         **example('python -m benchmarks pivot --recordings 100'))
     parser.add_argument('--recordings', type=positive_number, default=50, metavar='N',
                         help='recordings per scenario (default: 50)')
@@ -49,7 +51,8 @@ def run(args: argparse.Namespace) -> int:
     made = {name: [make(np.random.default_rng([args.seed, i])) for i in range(args.recordings)]
             for name, make in scenarios().items()}
     recordings = [recording for group in made.values() for recording in group]
-    answers = {'gsdf_registration': [ours(recording) for recording in recordings]}
+    answers = {'gsdf_registration': [ours(recording, name == JOINT)
+                                     for name, group in made.items() for recording in group]}
     peers, missing = peer_answers(recordings)
     answers.update(peers)
     for i, (name, group) in enumerate(made.items()):
@@ -65,7 +68,7 @@ def scenarios() -> dict[str, Callable[[np.random.Generator], PivotRecording]]:
     """Return a function for each scenario that simulates a recording."""
     import numpy as np
 
-    from gsdf_registration.simulation.pivoting import PoseFaults, PoseNoise, pivoting
+    from gsdf_registration.simulation.pivoting import PoseFaults, PoseNoise, leg_swing, pivoting
 
     def recorded(**faults: Any) -> Callable[..., PivotRecording]:
         return lambda rng: pivoting(rng, SECONDS, RATE, faults=PoseFaults(**faults))
@@ -78,6 +81,7 @@ def scenarios() -> dict[str, Callable[[np.random.Generator], PivotRecording]]:
         'slip by 8 mm': recorded(slips=((12.0, 0.008),)),
         'three slips by 8 mm': recorded(slips=((3.0, 0.008), (7.0, 0.008), (16.0, 0.008))),
         'way to the divot': lambda rng: approaching(recorded()(rng)),
+        JOINT: leg_swing,
     }
 
 
@@ -92,13 +96,14 @@ def approaching(recording: PivotRecording) -> PivotRecording:
     return replace(recording, T_tracker_body=T)
 
 
-def ours(recording: PivotRecording) -> Answer:
-    """Return the tip that this package finds."""
+def ours(recording: PivotRecording, joint: bool = False) -> Answer:
+    """Return the tip, or the centre of the joint, that this package finds."""
     from time import perf_counter
 
-    from gsdf_registration.tracking.pivot import calibrate_pivot
+    from gsdf_registration.tracking.pivot import calibrate_pivot, find_joint_centre
+    find = find_joint_centre if joint else calibrate_pivot
     started = perf_counter()
-    result = calibrate_pivot(recording.T_tracker_body, recording.stamps)
+    result = find(recording.T_tracker_body, recording.stamps)
     return result.point, perf_counter() - started
 
 
