@@ -106,7 +106,7 @@ def test_commands_in_documents_are_valid(document: str) -> None:
             parse(line)
 
 
-@pytest.mark.parametrize('document', DOCUMENTS)
+@pytest.mark.parametrize('document', [page for page in DOCUMENTS if page != 'CHANGELOG.md'])
 def test_subcommands_that_are_named_exist(document: str) -> None:
     named = set(re.findall(r'`gsdf ([\w-]+)', (ROOT / document).read_text()))
     assert named <= set(SUBCOMMAND_NAMES)

@@ -26,7 +26,7 @@ def add_parser(subparsers: Any) -> None:
         'and --config of gsdf: the centre of the hip joint, which ~/find_joint_centre finds on the '
         'patient, and the four most distant places of the bone, to be touched for an initial '
         'guess. The centre is that of the sphere through the femoral head or the acetabulum.',
-        **example('gsdf landmarks femur.stl > landmarks.yaml'))
+        **example('gsdf landmarks femur.stl --json landmarks.json'))
     parser.add_argument('model', metavar='MODEL', help=options.MODEL_HELP)
     options.add_model_options(parser)
     parser.add_argument('--json', metavar='OUT',
