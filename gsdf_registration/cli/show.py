@@ -13,6 +13,7 @@ from gsdf_registration.common.result import INLIER_WEIGHT, InputError, Refusal
 
 if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
+    from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.common.samples import Points
     from gsdf_registration.field import Field
@@ -42,6 +43,8 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Register, draw the scene and print the result; return 1 if `register` would reject it."""
     from gsdf_registration.live.assessment import assess_all_points
+    from gsdf_registration.registration.evidence import Evidence
+    from gsdf_registration.registration.landmark_evidence import for_tip
     from gsdf_registration.visualization.picture import require_matplotlib, write_picture
     from gsdf_registration.visualization.render import Scene
     require_matplotlib()
@@ -50,9 +53,10 @@ def run(args: argparse.Namespace) -> int:
         field = inputs.field_or_refusal(config)
     if isinstance(field, Refusal):
         raise InputError(field.message)
-    points, guess = _read_points(args, field, config)
+    points, landmarks, guess = _read_points(args, field, config)
+    evidence = Evidence(for_tip(landmarks, field))
     with spinner('registering'):
-        found = assess_all_points(points, field, config, guess=guess)
+        found = assess_all_points(points, field, config, guess=guess, evidence=evidence)
     reason = found.rejection_reason
     title = _accepted(found) if reason is None else f'Refused: {reason.message}'
     with spinner('drawing'):
@@ -71,10 +75,11 @@ def _accepted(found: FullAssessment) -> str:
 
 
 def _read_points(args: argparse.Namespace, field: Field,
-                 config: Config) -> tuple[Points, Array | None]:
-    """Return the points, and the initial guess T_bone_tracker (4, 4), m, if there is one."""
+                 config: Config) -> tuple[Points, Landmarks, Array | None]:
+    """Return points, landmarks, and the initial guess T_bone_tracker (4, 4), m, if any."""
     import numpy as np
 
+    from gsdf_registration.common.landmarks import NO_LANDMARKS
     from gsdf_registration.common.samples import without_tools
     from gsdf_registration.common.tool_pose import TIP_UNKNOWN
     from gsdf_registration.registration.input_checks import initial_guess
@@ -91,7 +96,7 @@ def _read_points(args: argparse.Namespace, field: Field,
         pose = session.status().pose_result
         if T_tracker_bone is None and landmarks is None and pose is not None:
             T_tracker_bone = pose.T_tracker_bone
-        points = session.points()
+        points, landmarks = session.points(), landmarks or session.landmarks()
     elif path.is_dir() or path.suffix in ('.mcap', '.db3'):
         points = collected(inputs.read_recording(str(path), config), field, config).points()
     elif args.unit is None:
@@ -105,4 +110,4 @@ def _read_points(args: argparse.Namespace, field: Field,
         positions = positions[np.isfinite(positions).all(axis=1)]
         zeros = np.zeros(len(positions), np.int32)
         points = without_tools(positions, zeros.astype(np.float64), zeros, zeros)
-    return points, initial_guess(landmarks, T_tracker_bone)
+    return points, landmarks or NO_LANDMARKS, initial_guess(landmarks, T_tracker_bone)
