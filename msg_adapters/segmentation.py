@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects, gaussian_filter
+from scipy.ndimage import gaussian_filter
 
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
@@ -112,7 +112,12 @@ def _read_label_map(path: Path, label: str) -> Mask:
 
 def _labels(path: Path, voxels: NDArray[Any]) -> list[int]:
     """Return the labels in a volume without the background, 0."""
-    values = np.unique(voxels)
+    found: set[float] = set()
+    for k in range(voxels.shape[2]):    # by slices, which bounds time and memory
+        found.update(np.unique(voxels[..., k]).tolist())
+        if len(found) > MOST_LABELS:
+            break
+    values = np.array(sorted(found))
     if not np.isfinite(values).all() or (values != np.round(values)).any() or (
             len(values) > MOST_LABELS) or values[0] < 0:
         raise InputError(f'{path} is an image, not a segmentation: its values are no labels; '
@@ -122,9 +127,8 @@ def _labels(path: Path, voxels: NDArray[Any]) -> list[int]:
 
 def _crop(inside: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array, bool]:
     """Return the part round the bone with a margin, its first index, and if the bone is cut."""
-    box = find_objects(inside.astype(np.uint8))[0]
-    start = np.array([side.start for side in box])
-    stop = np.array([side.stop for side in box])
-    cut = bool((start == 0).any() or (stop == inside.shape).any())
-    part = np.pad(inside[box], MARGIN)
+    used = [np.flatnonzero(inside.any(axis=others)) for others in ((1, 2), (0, 2), (0, 1))]
+    start, stop = (np.array([each[end] for each in used]) for end in (0, -1))
+    cut = bool((start == 0).any() or (stop + 1 == inside.shape).any())
+    part = np.pad(inside[tuple(map(slice, start, stop + 1))], MARGIN)
     return part, (start - MARGIN).astype(np.float64), cut

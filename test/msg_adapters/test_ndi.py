@@ -9,6 +9,7 @@ import pytest
 from gsdf_registration.cli.main import make_parser
 from gsdf_registration.common.result import InputError
 from msg_adapters.ndi import is_ndi, read_ndi, read_tools, topic_of
+from msg_adapters.points import read_points
 from msg_adapters.tool_poses import read_tool_poses
 
 LABEL = 'Port 0x0A: PROBE-5D  s/n:00C0FFEE Channel:0'
@@ -192,6 +193,16 @@ def test_the_rate_gives_the_times_of_a_file_that_has_none(tmp_path):
     assert 'omit --rate' in refusal(write(tmp_path / 'em.csv', EM), rate=40.0)
     gap = write(tmp_path / 'gap.csv', bare.replace(',116,', ',,'))
     assert 'line 4: the frame number is missing' in refusal(gap, rate=40.0)
+
+
+def test_points_are_those_of_the_chosen_tool(tmp_path):
+    path = write(tmp_path / 'optical.tsv', OPTICAL.replace(',', '\t'))
+    np.testing.assert_allclose(read_points(path, 'mm', 'probe').positions * 1e3,
+                               [[1, 2, 3], [1, 2, 4]])
+    with pytest.raises(InputError, match='several tools; choose one with --tool'):
+        read_points(path, 'mm')
+    with pytest.raises(InputError, match='is no NDI tracker CSV: omit --tool'):
+        read_points(write(tmp_path / 'p.csv', 'x,y,z\n1,2,3\n'), 'mm', 'probe')
 
 
 def test_topics_are_named_after_the_labels(tmp_path):
