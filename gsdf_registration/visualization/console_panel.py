@@ -39,7 +39,9 @@ CAUSES = {
     'not_collecting': 'while not collecting',
     'touched': 'at a landmark or verification point',
     'duplicate': 'tip did not move',
+    'calibrating': 'used for a calibration',
     'too_fast': 'jumped',
+    'lost': 'lost on the network',
     'full': 'no more room',
 }
 

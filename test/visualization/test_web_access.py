@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gate in front of the console: who knows the token passes, others do not."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+
+from gsdf_registration.common.result import InputError
+from gsdf_registration.visualization.web_access import COOKIE, Gate, check_request, free_port
+
+TOKEN = 'correct-horse'
+
+
+class Page(BaseHTTPRequestHandler):
+    """A page that shows its path."""
+
+    def do_GET(self) -> None:   # the name that http.server calls
+        body = f'page {self.path}'.encode()
+        self.send_response(200)
+        self.send_header('Content-Length', str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Print nothing."""
+
+
+@pytest.fixture(scope='module')
+def gate() -> Iterator[Gate]:
+    page = HTTPServer(('127.0.0.1', 0), Page)
+    threading.Thread(target=page.serve_forever, daemon=True).start()
+    gate = Gate('127.0.0.1', 0, TOKEN, page.server_port)
+    yield gate
+    gate.stop()
+    page.shutdown()
+    page.server_close()
+
+
+def get(gate: Gate, path: str, cookie: str = '') -> tuple[int, str, str]:
+    """Return status, body and cookie of an answer."""
+    connection = HTTPConnection('127.0.0.1', gate.port, timeout=10)
+    connection.request('GET', path, headers={'Cookie': cookie} if cookie else {})
+    answer = connection.getresponse()
+    body, given = answer.read().decode(), answer.getheader('Set-Cookie') or ''
+    connection.close()
+    return answer.status, body, given
+
+
+def test_the_token_in_the_address_becomes_a_cookie(gate: Gate) -> None:
+    status, _, cookie = get(gate, f'/?token={TOKEN}')
+    assert status == 303 and 'HttpOnly' in cookie and 'SameSite=Strict' in cookie
+    assert get(gate, '/view', cookie.split(';')[0])[:2] == (200, 'page /view')
+
+
+@pytest.mark.parametrize(('path', 'cookie'), [
+    ('/', ''), ('/?token=wrong', ''), ('/', f'{COOKIE}=wrong'), ('/', f'other={TOKEN}'),
+    ('/', '=;,"'), (f'/{TOKEN}', '')])
+def test_nobody_passes_without_the_token(gate: Gate, path: str, cookie: str) -> None:
+    status, body, _ = get(gate, path, cookie)
+    assert status == 403 and '?token=SECRET' in body and 'page' not in body.split('Open this')[0]
+
+
+def test_an_incomplete_request_is_not_forwarded() -> None:
+    assert check_request(b'\r\n\r\n', TOKEN) is not None
+
+
+@pytest.mark.parametrize('token', ['', 'short', 'with space', 'sémantique', 'a;b;c;d;e'])
+def test_a_token_that_a_cookie_cannot_hold_is_rejected(token: str) -> None:
+    with pytest.raises(InputError, match='the token must have 8 or more'):
+        Gate('127.0.0.1', 0, token, free_port())
+
+
+def test_an_address_in_use_is_reported(gate: Gate) -> None:
+    with pytest.raises(InputError, match='cannot be served'):
+        Gate('127.0.0.1', gate.port, TOKEN, free_port())
