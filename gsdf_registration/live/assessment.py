@@ -142,8 +142,8 @@ def assess_all_points(points: Points,
         pose.confidence = candidate.confidence
     elif previous is not None:
         alone = (len(previous.touches) == len(previous.weights)
-                 and len(selection.touches) >= config.limits.min_points)
-        used = selection.without_strokes() if alone else selection
+                 and selection.rests >= config.limits.min_points)
+        used = selection.rests_alone() if alone else selection
         used = used.thinned(config.live.max_points)
         pose, candidate, reasons = _follow(used, field, config, previous, evidence)
     else:

@@ -43,6 +43,8 @@ from gsdf_registration.registration.pose_selection import SelectedPose, select_p
 from gsdf_registration.search.global_search import MOST_POSES, START_POSES, find_start_poses
 from gsdf_registration.solver import NO_TOUCHES
 
+NEAR = 0.002        # m from the surface: points on the bone at a pose that is roughly right
+
 
 def register(points: ArrayLike,
              field: Field,
@@ -124,9 +126,9 @@ def _with_points_left_out(result: RegistrationResult, candidate: Candidate, poin
     known = np.isfinite(result.residuals_m)
     residuals[known] = result.residuals_m[known]
     message = result.message
-    if left_out['resting'] and len(selection.touches):
-        message += (f'; {left_out["resting"] + len(selection.touches)} points at rest count as '
-                    f'{format_count(len(selection.touches), "touch", "touches")}')
+    if left_out['resting'] and selection.rests:
+        message += (f'; {left_out["resting"] + selection.rests} points at rest count as '
+                    f'{format_count(selection.rests, "touch", "touches")}')
     if left_out['downsampled']:
         message += f'; {selection.total} points were downsampled to {len(selection.rows)}'
     return replace(result, message=message, residuals_m=residuals, weights=weights)
@@ -172,13 +174,29 @@ def find_candidates(selection: PointSelection,
 
     Each is computed only if the caller rejects the one before. Around the guess, T_bone_tracker, if
     there is one, and then everywhere, the `attempts` of the selection are tried one after another.
-    The other parameters are as in `find_candidate`.
+    If the other points fit the pose of rests alone, all are solved from there first. The other
+    parameters are as in `find_candidate`.
     """
+    def solve_from(attempt: PointSelection, starts: Sequence[Array]) -> Candidate:
+        return find_candidate(attempt.positions, field, config, starts, evidence,
+                              cancelled=cancelled, progress=progress, history=history,
+                              touches=attempt.touches)
+
     for starts in ([],) if guess is None else ([guess], []):
         for attempt in selection.attempts(config.limits.min_points):
-            yield attempt, find_candidate(attempt.positions, field, config, starts, evidence,
-                                          cancelled=cancelled, progress=progress, history=history,
-                                          touches=attempt.touches)
+            candidate = solve_from(attempt, starts)
+            others = selection.positions[:len(selection.rows) - len(attempt.rows)]
+            if _fits(candidate, others, field, config):
+                yield selection, solve_from(selection, [candidate.solution.T_bone_tracker])
+            yield attempt, candidate
+
+
+def _fits(candidate: Candidate, points: Array, field: Field, config: Config) -> bool:
+    """Return whether other ``points`` (n, 3), m, also lie on the bone, in the only likely pose."""
+    if not len(points) or candidate.selected.ambiguous(config.limits.min_gap):
+        return False
+    distance = field.sample(rigid.transform(candidate.solution.T_bone_tracker, points))[0]
+    return bool((np.abs(distance) < NEAR).mean() >= config.limits.min_inliers)
 
 
 def find_candidate(points: Array,

@@ -37,9 +37,6 @@ CAUSES = ('isolated', 'repeated', 'resting', 'moving', 'downsampled')
 OUTLYING = 5.0      # times the RMS residual of the points on the bone
 # Noise of a rest over that of a point on a stroke, at least: the error of the model is the same
 MIN_NOISE = 0.5
-# Touches alone are tried first if there are fewer points on strokes for each touch: the others may
-# be on the way through the air
-STROKE_POINTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +52,7 @@ class PointSelection:
         isolated (scattered outliers among the points checked), repeated (readings), resting (at a
         rest, of which one counts), moving (between touches), downsampled
     on_strokes : int, estimated number of points on strokes among all points, and of touches
+    rests : int, how many of the touches, the last ones, are rests of the tip
     """
 
     total: int
@@ -63,6 +61,7 @@ class PointSelection:
     touches: Array
     left_out: dict[str, int]
     on_strokes: int
+    rests: int = 0
 
     @property
     def strokes(self) -> int:
@@ -75,11 +74,13 @@ class PointSelection:
                                np.arange(self.strokes, len(self.rows))])
         return self._only(kept, 'downsampled')
 
-    def without_strokes(self) -> PointSelection:
-        """Return the selection with touches only."""
-        alone = self._only(np.arange(self.strokes, len(self.rows)), 'moving')
-        typical = float(np.median(self.touches)) if len(self.touches) else 1.0
-        return replace(alone, touches=self.touches / typical, on_strokes=len(self.touches))
+    def rests_alone(self) -> PointSelection:
+        """Return the selection with the rests of the tip only."""
+        used = len(self.rows)
+        alone = self._only(np.arange(used - self.rests, used), 'moving')
+        touches = self.touches[len(self.touches) - self.rests:]
+        typical = float(np.median(touches)) if self.rests else 1.0
+        return replace(alone, touches=touches / typical, on_strokes=self.rests)
 
     def _only(self, kept: Indices, cause: str) -> PointSelection:
         """Return the selection with the ``kept`` points; the others are left out by ``cause``."""
@@ -89,16 +90,14 @@ class PointSelection:
 
     def attempts(self, min_points: int) -> Iterator[PointSelection]:
         """
-        Yield this selection and, if it has ``min_points`` touches, the touches alone.
+        Yield the rests alone, if there are ``min_points``, and this selection.
 
-        A probe that touches a bone here and there moves through the air between.
+        A probe that touches a bone here and there moves through the air between, so the other
+        points may be no strokes.
         """
-        if not self.strokes or len(self.touches) < min_points:
-            yield self
-        elif self.strokes < STROKE_POINTS * len(self.touches):
-            yield from (self.without_strokes(), self)
-        else:
-            yield from (self, self.without_strokes())
+        if min_points <= self.rests < len(self.rows):
+            yield self.rests_alone()
+        yield self
 
 
 def select_points(points: Array, mode: str = 'both', limit: int = MAX_POINTS) -> PointSelection:
@@ -150,8 +149,8 @@ def _with_rests(points: Array, rests: Rests, rows: Indices, touches: Array,
         len(points), np.concatenate([points[rows], rests.positions]),
         np.concatenate([rows, _nearest_samples(points, rests, resting)]),
         np.concatenate([touches, _relative_noise(rests)]),
-        left_out | {'resting': len(resting) - places}, total + places)
-    return selection if selection.strokes else selection.without_strokes()
+        left_out | {'resting': len(resting) - places}, total + places, places)
+    return selection if len(rows) else selection.rests_alone()
 
 
 def _nearest_samples(points: Array, rests: Rests, resting: Indices) -> Indices:

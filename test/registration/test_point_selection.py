@@ -107,7 +107,7 @@ def test_each_rest_is_a_touch_in_the_place_of_the_rest() -> None:
     for mode in ('touches', 'both'):
         selection = select_points(touches(places), mode)
         attempts = list(selection.attempts(30))
-        alone = min(attempts, key=lambda each: each.strokes)
+        alone = attempts[0]
         assert alone.strokes == 0 and len(alone.touches) == 40
         off = np.linalg.norm(alone.positions[:, None] - places, axis=2).min(axis=0)
         assert off.max() < 1.5e-4
@@ -187,3 +187,31 @@ def test_a_tip_at_rest_off_the_bone_does_not_bias_the_pose(seed: int) -> None:
     moved = rigid.rms_displacement(alone.T_tracker_bone, both.T_tracker_bone,
                                    field.surface_points.astype(np.float64))
     assert moved < 0.5 * both.predicted_tre_m['rms']
+
+
+@pytest.mark.parametrize('strokes', [0, 3000])
+def test_touches_are_used_without_the_air_between_but_with_the_strokes(strokes: int) -> None:
+    rng = np.random.default_rng(0)
+    places = touched_points(40, 1, 1e-5)
+    places = places[np.argsort(places[:, 2] + 0.3 * places[:, 0])]
+    outward = bone_field().sample(places)[1]
+    parts = []
+    for k in range(40):
+        height = 0.03 * np.sin(np.linspace(0.0, np.pi, 14)[1:-1, None])
+        to = places[(k + 1) % 40]
+        s = np.linspace(0.0, 1.0, 14)[1:-1, None]
+        parts += [np.repeat(places[k:k + 1], 20, axis=0),
+                  places[k] + s * (to - places[k]) + height * outward[k]]
+    stream = np.concatenate(parts)
+    stream = np.concatenate([stream + 1e-4 * rng.normal(size=stream.shape),
+                             touched_points(strokes, 2, 1e-4)])
+    result = register(transform(T_TRACKER_BONE, stream), bone_field(),
+                      T_tracker_bone=T_TRACKER_BONE)
+    assert result.success and result.T_tracker_bone is not None
+    surface = bone_field().surface_points.astype(np.float64)
+    error = rigid.rms_displacement(inverse(result.T_tracker_bone), inverse(T_TRACKER_BONE), surface)
+    assert error < 1.5e-3
+    assert result.used == 40 if not strokes else result.used > 2500
+    assert result.received == result.used + sum(result.left_out.values()) == len(stream)
+    assert result.weights is not None and (result.weights > 0.5).sum() > 700 + 0.8 * strokes
+    assert 'points at rest count as' in result.message
