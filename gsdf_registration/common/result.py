@@ -210,7 +210,8 @@ class RegistrationResult:
     received: int = 0                           # points passed in
     used: int = 0                               # points passed to the solver
     inliers: int = 0                            # points on the bone
-    # points passed in but not used, by cause: isolated, repeated, downsampled
+    # points passed in but not used, by cause: isolated, repeated, resting (samples of a rest, of
+    # which one counts), moving (between touches), downsampled
     left_out: dict[str, int] = field(default_factory=dict)
     # estimated noise of a point along the surface normal
     sigma_m: float | None = None
