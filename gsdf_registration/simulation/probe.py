@@ -16,6 +16,7 @@ from gsdf_registration.common.rigid import (
     rotation_from_quaternion,
     transform,
 )
+from gsdf_registration.simulation.distortion import Distortion
 from gsdf_registration.simulation.interference import (
     NONE,
     Interference,
@@ -24,6 +25,7 @@ from gsdf_registration.simulation.interference import (
     Segment,
     add_interference,
 )
+from gsdf_registration.simulation.losses import dropout_mask
 from gsdf_registration.simulation.patch import Patch, walk
 
 
@@ -35,7 +37,8 @@ class Tracker:
     sigma: float | tuple[float, float, float] = 0.00015     # m, standard deviation per axis
     jitter: float = 0.05            # standard deviation of a stamp, in periods
     dropouts: float = 0.0           # share of the samples of strokes that are lost, in bursts
-    distortion: float = 0.0         # m, RMS of a smooth, constant displacement
+    # m, RMS of a smooth, constant displacement, another one in each simulation; or a certain one
+    distortion: float | Distortion = 0.0
 
 
 @dataclass(frozen=True)
@@ -153,10 +156,10 @@ def simulate_landmarks(places: ArrayLike,
 
 def measure(positions: Array, tracker: Tracker, rng: np.random.Generator) -> Array:
     """Return ``positions`` (n, 3), m, tracker frame, with distortion and noise of the tracker."""
-    waves = rng.normal(0.0, 2.0 * np.pi / 0.4, (3, 3))      # 1/m, wavelengths of about 0.4 m
-    phases = rng.uniform(0.0, 2.0 * np.pi, 3)
-    bent = tracker.distortion * np.sqrt(2.0 / 3.0) * np.sin(positions @ waves.T + phases)
-    return positions + bent + rng.normal(size=positions.shape) * np.broadcast_to(tracker.sigma, 3)
+    field = tracker.distortion
+    if not isinstance(field, Distortion):
+        field = Distortion.random(field, rng)
+    return positions + field.displacement(positions) + rng.normal(size=positions.shape) * np.broadcast_to(tracker.sigma, 3)
 
 
 def random_pose(rng: np.random.Generator,
@@ -202,7 +205,7 @@ def _strokes(patch: Patch, count: int, rng: np.random.Generator, tracker: Tracke
     turns = hand.curvature * _correlated_noise(n, 0.015 / step, rng) * steps
     headings = rng.uniform(0.0, 2.0 * np.pi, len(starts))
     tips, faces = walk(patch, starts, faces, headings, strokes, steps, turns)
-    kept = _dropout_mask(n, lost, max(round(0.1 * tracker.rate), 2), rng)
+    kept = dropout_mask(n, lost, max(round(0.1 * tracker.rate), 2), rng)
     ticks = np.diff(np.flatnonzero(kept), prepend=-1).astype(np.float64)
     tips, faces, strokes = tips[kept], faces[kept], strokes[kept]
     kinds = np.full(len(tips), Kind.SURFACE, dtype=np.uint8)
@@ -234,12 +237,3 @@ def _correlated_noise(n: int, memory: float, rng: np.random.Generator) -> Array:
     noise = rng.normal(size=n) * np.sqrt(1.0 - keep * keep)
     noise[:1] /= np.sqrt(1.0 - keep * keep)
     return np.asarray(lfilter([1.0], [1.0, -keep], noise))
-
-
-def _dropout_mask(n: int, lost: int, longest: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return a mask (n,) without exactly ``lost`` samples, in bursts of up to ``longest``."""
-    kept = np.ones(n, dtype=bool)
-    while (left := lost - int(n - kept.sum())) > 0:
-        first = int(rng.integers(0, n))
-        kept[first:first + min(left, int(rng.integers(1, longest + 1)))] = False
-    return kept

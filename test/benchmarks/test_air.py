@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 from smooth_bone import bone_field, bone_mesh
 
-from benchmarks.air.path import SHAFT, AirPath, along_shaft, simulate_air
+from benchmarks.air.path import AirPath, simulate_air
 from benchmarks.air.trial import _recorded, _tools
 from gsdf_registration.common import rigid
 from gsdf_registration.common.tool_pose import tip_positions
+from gsdf_registration.simulation.air import SHAFT, along_shaft
 from gsdf_registration.simulation.patch import exposed_patch
 from gsdf_registration.simulation.probe import (
     SimulatedRecording,
