@@ -66,6 +66,8 @@ def test_processes_all_waiting_messages_in_one_callback(context: Context) -> Non
     assert callbacks < MESSAGES / 3     # a few of the messages may arrive during the first ones
     inputs.destroy()
     executor.shutdown()
+    node.destroy_node()
+    tracker.destroy_node()
 
 
 BURST = 6000    # more than the queue holds
@@ -109,3 +111,4 @@ def test_counts_the_messages_that_did_not_fit_into_the_queue(context: Context) -
     assert 'messages on /delayed were lost' in inputs.arrivals.hints()[0].sentence
     inputs.destroy()
     executor.shutdown()
+    node.destroy_node()
