@@ -159,7 +159,8 @@ def measure(positions: Array, tracker: Tracker, rng: np.random.Generator) -> Arr
     field = tracker.distortion
     if not isinstance(field, Distortion):
         field = Distortion.random(field, rng)
-    return positions + field.displacement(positions) + rng.normal(size=positions.shape) * np.broadcast_to(tracker.sigma, 3)
+    noise = rng.normal(size=positions.shape) * np.broadcast_to(tracker.sigma, 3)
+    return positions + field.displacement(positions) + noise
 
 
 def random_pose(rng: np.random.Generator,
