@@ -96,6 +96,10 @@ STATUS = {
     'inliers': 'points among them that lie on the bone',
     'predicted_tre_m.*': 'expected error at each target, over the bone (`rms`) and its maximum '
                          '(`max`), m',
+    'grade': 'of the accepted registration: `A` or `B`, see [accuracy.md](accuracy.md)',
+    'zone.*': 'where the pose is accurate: `limit_m`, `distance_m` from the touched points, '
+              '`bone_share`, and the 95 % error `touched_p95_m` within 100 mm of them, '
+              '`bone_p95_m` on the bone and `p95_m.` at each target, m',
     'sigma_m': 'noise of the points along the surface normal, m',
     'runner_up_ratio': 'cost of the best alternative pose divided by the cost of the pose',
     'weakest_direction': 'the least constrained motion, a sentence',
