@@ -104,7 +104,7 @@ def _with_unit_check(result: FixedPoint, poses: ToolPoses) -> FixedPoint:
     if result.success and farthest < NEAREST:
         message = (f'the tool is never more than {1e3 * farthest:.1f} mm from the origin of the '
                    'tracker: the lengths are in m, use --unit m')
-    elif result.reason is PivotReason.NOT_FIXED:
+    elif result.reason is PivotReason.NOT_FIXED and 1e-3 * farthest >= NEAREST:
         in_mm = T.copy()
         in_mm[:, :3, 3] *= 1e-3
         if calibrate_pivot(in_mm, poses.stamps).success:

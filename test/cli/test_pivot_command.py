@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -220,3 +221,16 @@ def test_writes_the_tip_as_settings(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert out.read_text() == before and 'tip written' not in capsys.readouterr().out
     assert main(['pivot', str(csv), '--unit', 'mm', '-o', str(csv)]) == 2
     assert 'ends with .yaml' in capsys.readouterr().err
+
+
+def test_another_unit_is_proposed_only_if_it_is_plausible(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # a tool that moves through 0.5 m and never pivots: in mm, it would hardly move at all
+    recording = record()
+    T = recording.T_tracker_body.copy()
+    T[:, :3, 3] = np.random.default_rng(1).uniform(-0.25, 0.25, (len(T), 3))
+    moving = dataclasses.replace(recording, T_tracker_body=T)
+    path = write_ndi(tmp_path / 'moving.csv', moving)
+    assert main(['pivot', str(path), '--tool', 'Probe']) == 1
+    output = capsys.readouterr().out
+    assert 'no point of the tool stays still' in output and '--unit' not in output
