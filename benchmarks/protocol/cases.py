@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gsdf_registration.common import rigid
-from gsdf_registration.common.config import SearchConfig, SolverConfig
+from gsdf_registration.common.config import Config, SearchConfig
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field, cached_field
@@ -126,9 +126,9 @@ def region_patch(path: str, region: str, mirrored: bool = False) -> Patch:
 def between_scans(path: str, other: str) -> Array:
     """Return T_other_bone (4, 4), m, between two scans of a bone, from their whole surfaces."""
     points, field = bone(path).surface_points[::4].astype(np.float64), bone(other)
-    config = SolverConfig(method='paper', cauchy_scale=0.003)
+    config = Config().replaced({'solver.method': 'paper', 'solver.cauchy_scale': 0.003})
     starts = find_start_poses(points, field, SearchConfig(), count=20)
-    found = [solve(points, field, T, config) for T in starts]
+    found = [solve(points, field, T, config.solver) for T in starts]
     selected = select_pose(found, points, field, config)
     return rigid.orthonormalized(selected.solution.T_bone_tracker)
 

@@ -71,6 +71,9 @@ class ModelConfig:
                             '/femur/registration', fixed=True)
     voxel_size: float = setting(0.001, 'spacing of the signed-distance samples near the surface',
                                 'm', 1e-4, 0.01)
+    surface_error: float = setting(
+        0.00025, 'expected standard deviation of the error of the surface: 0 for an exact model, '
+        '0.00025 for CT, 0.0005 for MRI; the residuals correct it', 'm', 0.0, 0.005)
 
 
 @dataclass(frozen=True)
@@ -189,8 +192,6 @@ class SolverConfig:
     method: str = setting('mixture', 'estimator of the pose: mixture, or the published method',
                           choices=('mixture', 'paper'))
     max_iterations: int = setting(200, 'maximum number of Gauss-Newton steps', '', 1, 100_000)
-    model_error: float = setting(0.0006, 'mixture: assumed standard deviation of the error of the '
-                                 'model surface', 'm', 0.0, 0.01)
     cauchy_scale: float = setting(0.001, 'c of the Cauchy weight 1/(1+(e/c)^2), equation 13', 'm',
                                   1e-5, 0.1)
 

@@ -68,7 +68,8 @@ class WarmPose:
         self._neighbourhood = Neighbourhood(before(self.solution.touches, self.points), self._field,
                                             self._T_at_restart)
         self._solve(reuse_correction=False)
-        self.solution = allow_for_model_error(self.solution, self.points)
+        self.solution = allow_for_model_error(self.solution, self.points, self._field,
+                                              self._config.model.surface_error)
         if not len(self._landmarks):
             return
         alone = assess(self.solution, self.points, self._neighbourhood.indices)

@@ -82,7 +82,8 @@ class ModelReloader:
         model = config.model
         if not self._configured():
             return False    # it is loaded when the node is configured
-        other = model != self._model
+        # the expected error of the surface is no property of the field
+        other = dataclasses.replace(model, surface_error=self._model.surface_error) != self._model
         if self._background.busy and (other or _places(config) != _places(self._config)):
             raise InputError('a bone is being loaded; wait until ~/status reports the end')
         if not other:

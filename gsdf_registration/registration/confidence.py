@@ -23,6 +23,9 @@ from gsdf_registration.field import Field
 from gsdf_registration.registration.motions import inverse, motion_between
 from gsdf_registration.solver import PARAMETERS, Solution, before, nearest_neighbours
 
+# The residuals show the part of the error of the model that no motion explains. The other part is
+# larger: an error that varies slowly looks like a motion. From `benchmarks calibration`.
+MODEL_FACTOR = 2.0
 # 95 % quantile of chi-square for 1 to 3 degrees of freedom
 FREEDOM = np.linspace(1.0, 3.0, 65)
 CHI_SQUARE_95 = 2.0 * gammaincinv(0.5 * FREEDOM, 0.95)
@@ -149,7 +152,8 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     H = sum psi' J J^T, psi = w e, and S = sigma^2 sum w^2 J J^T the covariance of sum psi J. For
     plain least squares it is the Cramer-Rao bound sigma^2 (J^T J)^-1. Each row of J and its
     residual are divided by the relative noise along its normal. If the solution allows for an error
-    of the model, the part that this error may explain is subtracted from H and J and added to S.
+    of the model, the part that this error may explain is subtracted from H and J and added to S,
+    and what that adds to the covariance is multiplied by `MODEL_FACTOR`.
 
     Parameters
     ----------
@@ -166,12 +170,13 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
     if error is None:
         correlation = _residual_correlation(solution.weights, solution.residuals, neighbours)
         return _confidence(solution, points, noise, correlation, 0.0, np.zeros((6, 6)))
-    total = _covariance(solution, error.jacobian, error.noise**2, error.information_loss,
+    total = _covariance(solution, error.jacobian, _variance(solution), error.information_loss,
                         error.score_covariance)
     if total is None:
         return None
     correlation = _residual_correlation(solution.weights, error.residuals, neighbours)
-    return _confidence(solution, points, noise, correlation, error.sd, total - noise)
+    return _confidence(solution, points, noise, correlation, error.sd,
+                       MODEL_FACTOR * (total - noise) + error.offset_covariance)
 
 
 def assess_at(solution: Solution, points: Array, field: Field,
@@ -229,13 +234,19 @@ def _confidence(solution: Solution, points: Array, noise: Array, correlation: fl
 
 def _noise_covariance(solution: Solution) -> Array | None:
     """Return the covariance of `assess` without an error of the model."""
+    return _covariance(solution, solution.jacobian, _variance(solution))
+
+
+def _variance(solution: Solution) -> float:
+    """Return the variance of the noise of a point of precision 1, m^2."""
     w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
-    # the pose fits a part of the noise of a few touches, and an estimate from few is uncertain:
-    # the variance of Student's t, n / (n - 2) for n degrees of freedom
-    fitted = PARAMETERS + 2.0 if len(solution.touches) else 0.0
-    variance = solution.model_error.noise**2 if solution.model_error is not None else float(
-        ((w * p * e) ** 2).sum() / max((w**2).sum() - fitted, 1.0 if fitted else 1e-300))
-    return _covariance(solution, solution.jacobian, variance)
+    if len(solution.touches):
+        # the pose fits a part of the noise of a few touches, and an estimate from few is uncertain:
+        # the variance of Student's t, n / (n - 2) for n degrees of freedom
+        return float((w * (p * e) ** 2).sum() / max(w.sum() - PARAMETERS - 2.0, 1.0))
+    if solution.model_error is not None:
+        return solution.model_error.noise**2
+    return float(((w * p * e) ** 2).sum() / max((w**2).sum(), 1e-300))
 
 
 def _covariance(solution: Solution, jacobian: Array, variance: float,

@@ -151,8 +151,9 @@ def _call_search() -> None:
 def _call_solver() -> None:
     """Call the kernels of the local solver, of the choice of a pose, and of the live pose."""
     points, field, config = _touched(), _body(), Config()
-    solution = allow_for_model_error(solve(points, field, np.eye(4), config.solver), points)
-    select_pose([solution], points, field, config.solver)
+    solution = allow_for_model_error(solve(points, field, np.eye(4), config.solver), points, field,
+                                     config.model.surface_error)
+    select_pose([solution], points, field, config)
     refine(points, field, solution, config.solver)
     Neighbourhood(points, field, np.eye(4)).add(points[:20] + 1e-4)
     solve(points, field, np.eye(4), config.replaced({'solver.method': 'paper'}).solver)

@@ -241,7 +241,7 @@ def find_candidate(points: Array,
     def select(poses: Array, known: Evidence) -> SelectedPose:
         solutions = solve_all(points, field, [*starts, *poses], config, history, cancelled, touches,
                               known)
-        return select_pose(solutions, points, field, config.solver, known)
+        return select_pose(solutions, points, field, config, known)
     air = evidence.air
     selected = select(found[:START_POSES], replace(evidence, air=NO_PLACES))
     if len(air) and selected.ambiguous(config.limits.min_gap):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsdf_registration.common import rigid
-from gsdf_registration.common.config import SolverConfig
+from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import LandmarkFit
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
@@ -79,14 +79,13 @@ class SelectedPose:
 
 
 def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
-                config: SolverConfig, evidence: Evidence = Evidence()) -> SelectedPose:
+                config: Config, evidence: Evidence = Evidence()) -> SelectedPose:
     """
     Return the solution of the highest rank, with the other local minima as alternatives.
 
     Landmarks may favour another minimum. Each is judged by its own joint optimum with them, because
     it may be far from its place in a direction that the points hardly constrain. The selected
-    solution is the optimum of the points alone; it allows for an error of the model, if one is
-    found.
+    solution is the optimum of the points alone; it allows for an error of the model.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
         One or more, of the same points.
     points : (n, 3) float64, metres, tracker frame
     field : Field
-    config : SolverConfig
+    config : Config
     evidence : Evidence
         What is known of the pose beside the points.
 
@@ -108,7 +107,7 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
         # the same measures for all poses: the likelihood of the local means and a robust cost
         e, known = field.sample(rigid.transform(T, points))[0], evidence.log_likelihood(T, field)
         return _JudgedPose(T, patch_likelihood(e, neighbours, local_sd, touch_sd) + known, known,
-                           float((e**2 / (e**2 + config.cauchy_scale**2)).sum()))
+                           float((e**2 / (e**2 + config.solver.cauchy_scale**2)).sum()))
     candidates = [best, *solutions]
     judged = [judge(solution.T_bone_tracker) for solution in candidates]
     minima, chosen = _distinct(judged, 0, apart), 0
@@ -120,12 +119,12 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
             [judged[k] for k in minima],
             lambda T: judge(slide(T, points, field, sd, landmarks)))
         if chosen:
-            best = refine(points, field, candidates[chosen], config)
+            best = refine(points, field, candidates[chosen], config.solver)
         minima = _distinct(judged, chosen, apart)
     alternatives = [
         AlternativePose(judged[k].T_bone_tracker, judged[chosen].likelihood - judged[k].likelihood,
                         judged[k].cost / max(judged[chosen].cost, 1e-12)) for k in minima[1:]]
-    best = allow_for_model_error(best, points)
+    best = allow_for_model_error(best, points, field, config.model.surface_error)
     residual = field.sample(rigid.transform(best.T_bone_tracker, points))[0]
     return SelectedPose(best, residual, alternatives)
 

@@ -20,6 +20,7 @@ import numpy as np
 from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.field.sample import BATCH, sample_batch
 from gsdf_registration.solver.gauss_newton import (
+    linearize,
     normal_equations,
     rotate,
     solve_cholesky,
@@ -62,6 +63,13 @@ def bias_correction(field, points, R, t, weight, noise, e, J, precision, strokes
         for i in range(6):
             e[k] += J[k, i] * dx[i]
     return True
+
+
+@kernel
+def unbiased_rows(field, points, R, t, weight, noise, e, J, precision):
+    """Fill residuals ``e`` (n,) and derivatives ``J`` (n, 6) at the pose, without bias."""
+    linearize(field, points, R, t, np.ones(len(points), dtype=np.bool_), e, J)
+    _remove_bias(field, points, R, t, weight, noise, e, J, precision)
 
 
 @kernel

@@ -14,10 +14,10 @@ from gsdf_registration.common.result import Iteration
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.solver import gauss_newton
-from gsdf_registration.solver.bias_correction import bias_correction
+from gsdf_registration.solver.bias_correction import bias_correction, unbiased_rows
 from gsdf_registration.solver.centroid_frame import from_centroid_frame, to_centroid_frame
 from gsdf_registration.solver.mixture import INTERFERENCE_RANGE, expectation_maximization
-from gsdf_registration.solver.model_error import find_model_error
+from gsdf_registration.solver.model_error import Allowance, error_variances
 from gsdf_registration.solver.neighbourhood import nearest_neighbours
 from gsdf_registration.solver.paper import (
     DISCARD_BELOW,
@@ -31,6 +31,9 @@ from gsdf_registration.solver.touches import NO_TOUCHES, before
 INITIAL_LOCAL_SD = 0.0015   # m, of the local means at the initial pose, which may be this far off
 INITIAL_INLIER_RATIO = 0.7  # most of what is touched is bone
 ANNEALING_FACTOR = 0.85     # by which the standard deviation of the local means falls per iteration
+# An error of the model moves the pose by up to a millimetre: the surface is linearized again
+MODEL_ERROR_STEPS = 3
+MAX_LOCAL_SD = 0.0006   # m, of the local means, by errors of model and tracker
 TOLERANCE = 1e-6    # m, of the last step: far below the noise of any tracker, far above rounding
 
 
@@ -69,7 +72,7 @@ def solve(points: Array,
         return replace(_paper(points, field, T_bone_tracker, config, history), touches=touches)
     if neighbours is None:
         neighbours = nearest_neighbours(before(touches, points), field, T_bone_tracker)
-    limit = 0.5 * config.model_error if anneal_to_noise else config.model_error
+    limit = 0.5 * MAX_LOCAL_SD if anneal_to_noise else MAX_LOCAL_SD
     # the noise is estimated in the first iteration
     initial = Estimates(0.0, local_sd, INITIAL_INLIER_RATIO, limit)
     return _mixture(points, neighbours, touches, field, T_bone_tracker, config, history, initial,
@@ -113,28 +116,40 @@ def refine(points: Array,
                     previous.correction if reuse_correction else None)
 
 
-def allow_for_model_error(solution: Solution, points: Array) -> Solution:
+def allow_for_model_error(solution: Solution, points: Array, field: Field,
+                          surface_error: float) -> Solution:
     """
-    Return a solution of the mixture with one more step if a model error is found.
+    Return a solution of the mixture that allows for an error of the model.
 
     Parameters
     ----------
     solution : of these points; a solution of the published method is returned unchanged
     points : (n, 3) float64, metres, tracker frame
+    field : of the bone
+    surface_error : float, m
+        Expected standard deviation of the error; 0: none, the solution is returned unchanged.
 
     """
-    T, e, J, weight = (solution.T_bone_tracker, solution.residuals, solution.jacobian,
-                       solution.weights)
-    error = None if solution.estimates is None else find_model_error(
-        rigid.transform(T, points), e, J, weight, solution.precision)
-    if error is None:
+    weight, precision, estimates = solution.weights, solution.precision, solution.estimates
+    e, J = solution.residuals.copy(), solution.jacobian.copy()
+    x = rigid.transform(solution.T_bone_tracker, points)
+    if estimates is None or not surface_error:
         return solution
-    weighted = error.jacobian.T * (weight * solution.precision**2)
-    dx = -np.linalg.solve(weighted @ J, weighted @ e)
-    R, centroid = rigid.rotation_exp(dx[:3]), rigid.transform(T, points.mean(axis=0))
-    step = rigid.from_rt(R, centroid + dx[3:] - R @ centroid)
-    return replace(solution, T_bone_tracker=step @ T, correction=step @ solution.correction,
-                   residuals=e + J @ dx, model_error=error)
+    centred, centroid, R, t = _to_centroid_frame(points, solution.T_bone_tracker)
+    try:
+        sizes = error_variances(x, e, J, weight, precision, surface_error)
+        allowance = Allowance(sizes, x, e, J, weight, precision, estimates.noise)
+        for step in range(MODEL_ERROR_STEPS):
+            if step:
+                unbiased_rows(field.arrays, centred, R, t, weight, estimates.noise, e, J, precision)
+            error = allowance.error(e, J)
+            gauss_newton.update(R, t, error.step)
+    except np.linalg.LinAlgError:
+        return solution     # too few points, or they do not constrain the pose
+    T = _pose(centroid, R, t)
+    return replace(solution, T_bone_tracker=T, residuals=e + J @ error.step, jacobian=J,
+                   correction=T @ rigid.inverse(solution.T_bone_tracker) @ solution.correction,
+                   model_error=error._replace(residuals=solution.residuals))
 
 
 def _mixture(points: Array,

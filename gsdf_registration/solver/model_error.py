@@ -2,13 +2,17 @@
 """
 Model error: correlated over a region of the bone, whereas noise is independent for every point.
 
-A segmentation is off by half a voxel in places, cartilage is missing, an electromagnetic field is
-distorted. A hundred points in such a region carry hardly more information than one, so they share
-their weight: generalized least squares (Aitken 1936), with the error as a Gaussian process over the
-surface with Matern 3/2 covariance. Its standard deviation and correlation length maximize the
-restricted likelihood (REML; Patterson and Thompson 1971), the likelihood of the part of the
-residuals that no motion of the bone explains. A model error is accepted if it raises the
-likelihood by more than chance does; with noise alone, nothing changes.
+A segmentation is off by half a voxel in places, its threshold dilates the whole bone, cartilage is
+missing, an electromagnetic field is distorted. A hundred points in such a region carry hardly more
+information than one, so they share their weight: generalized least squares (Aitken 1936), with the
+error as a Gaussian process over the surface with Matern 3/2 covariance. An offset that is the same
+everywhere is estimated with the pose, with a prior.
+
+Neither size nor length of the error is known. Each combination has a prior probability, which
+depends on what the user knows of the model, and a restricted likelihood (REML; Patterson and
+Thompson 1971), that of the part of the residuals that no motion and no offset explains. The mean
+covariance over all combinations is used: that of the error given the residuals. With noise alone,
+it is small; there is no threshold.
 """
 
 from __future__ import annotations
@@ -23,39 +27,77 @@ from scipy.spatial import cKDTree
 from gsdf_registration.common.downsampling import farthest_point_sample
 from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.solver.process_matrices import (
+    add_matern,
+    factor,
+    factored_covariance,
+    gram,
+    solve,
+    tridiagonalize,
+)
 
 # Points are grouped in cells over which the error is constant. Each pair: maximum number of cells,
-# points per cell on average. A coarse grouping suffices to estimate the error, which takes many
-# evaluations; the pose needs a fine one.
+# points per cell on average. A coarse grouping suffices to estimate the size of the error, which
+# takes many evaluations; the pose needs a fine one.
 COARSE, FINE = (100, 6), (300, 2)
 MIN_CELLS = 12      # twice the degrees of freedom
-LENGTHS = (0.004, 0.008, 0.016, 0.032)      # m, candidates for the correlation length
-# candidates for the model error over the noise of a point
-RATIOS = (0.1, 0.15, 0.22, 0.33, 0.5, 0.7, 1.0, 1.5, 2.2, 3.3)
-MIN_GAIN = 5.0      # of the log-likelihood, which noise alone hardly ever reaches
+LENGTHS = np.array([0.004, 0.008, 0.016, 0.032, 0.064])     # m, equally probable
+# Standard deviations of the local error and of the offset, over the expected one
+SIZES = np.array([0.0, 0.1, 0.16, 0.26, 0.43, 0.7, 1.15, 1.9, 3.1, 5.0])
+EXACT = 0.6         # prior probability that there is no such error, `benchmarks calibration`
+MIN_RANK = 1e-9     # smallest eigenvalue of a scaled information matrix that constrains all motions
+FOUND = 0.95        # probability of an error that is reported
+
+
+def _prior(sizes: Array, exact: float) -> Array:
+    """Return the probability of each size: half-t with two degrees of freedom, or none."""
+    edges = np.sqrt(sizes[1:-1] * sizes[2:])
+    below = np.concatenate([[0.0], edges / np.sqrt(edges**2 + 2.0), [1.0]])
+    return np.concatenate([[exact], (1.0 - exact) * np.diff(below)])
+
+
+PRIOR = _prior(SIZES, EXACT)
 
 
 class ModelError(NamedTuple):
     """
-    The error of a model in the area touched.
+    The error of a model in the area touched, at a pose.
 
-    sd : float, m, standard deviation along the normal
-    length : float, m, correlation length
+    sd : float, m, standard deviation along the normal of the local error; 0 if none was found
+    offset : float, m, most likely offset of the points from the model, outward
     noise : float, m, standard deviation of the independent noise of a point of precision 1
-    jacobian : (n, 6) float, of the residuals, less the part that the model error may explain
+    jacobian : (n, 6) float, of the residuals, less the part that the local error may explain
     information_loss : (6, 6) float, by which it reduces the information J^T W J
     score_covariance : (6, 6) float, its contribution to the covariance of J^T W e, in units of the
         squared noise
-    residuals : (n,) float, m, at the pose before it was allowed for
+    step : (6,) float, motion to the most likely pose
+    offset_covariance : (6, 6) float, of this pose, due to the offset
+    residuals : (n,) float, m, at this pose
     """
 
     sd: float
-    length: float
+    offset: float
     noise: float
     jacobian: Array
     information_loss: Array
     score_covariance: Array
+    step: Array
+    offset_covariance: Array
     residuals: Array
+
+
+class ErrorVariances(NamedTuple):
+    """
+    What is known of the size of the error.
+
+    expected : float, m, standard deviation that the user expects
+    local : (k,) float, m^2, mean variance of the local error for each of `LENGTHS`
+    found : float, probability that there is a local error
+    """
+
+    expected: float
+    local: Array
+    found: float
 
 
 class _Cells(NamedTuple):
@@ -78,11 +120,16 @@ class _Cells(NamedTuple):
     within: float
     points: float
 
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a point about its cell, m; 0 if there are no more points."""
+        return math.sqrt(self.within / max(self.points - len(self.e), 1.0))
 
-def find_model_error(x: Array, e: Array, J: Array, weight: Array,
-                     precision: Array) -> ModelError | None:
+
+def error_variances(x: Array, e: Array, J: Array, weight: Array, precision: Array,
+                    expected: float) -> ErrorVariances:
     """
-    Estimate the model error from residuals; return None if they contain only noise.
+    Return the size of the local error given the residuals; of few points, the expected one.
 
     Parameters
     ----------
@@ -94,31 +141,110 @@ def find_model_error(x: Array, e: Array, J: Array, weight: Array,
         Probability that a point is on the bone.
     precision : (n,) float
         Mean noise over the noise of each point.
+    expected : float, m
+        Expected standard deviation of the error.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the points do not constrain the pose.
 
     """
-    points = x - e[:, None] * J[:, 3:], e, J, weight, precision     # on the surface
-    cells = _group(*points, *COARSE)
+    squares = (expected * SIZES)**2
+    cells = _group(x, e, J, weight, precision, *COARSE)
     if cells is None or not cells.within > 0.0:
-        return None
+        share = np.full(len(LENGTHS), 1.0 / len(LENGTHS))
+        return ErrorVariances(expected, share * (PRIOR @ squares), 1.0 - PRIOR[0])
     scale = np.sqrt(np.maximum((cells.J**2).sum(axis=0), 1e-300))
-    rows = np.concatenate([cells.J.T / scale[:, None], cells.e[None]])
-    ratio, length, noise = _maximize_likelihood(cells.distance, cells.root, rows, cells.within,
-                                                cells.points)
-    cells = _group(*points, *FINE)
-    if ratio == 0.0 or cells is None:
-        return None
-    # V^-1 J, where V = I + S is the covariance of the means; the expected model error is S V^-1 e
-    rest = cells.J.T.copy()
-    _solve(np.eye(len(cells.e)) + ratio**2 * _matern(cells.distance, cells.root, length), rest)
-    expected = cells.J - rest.T
-    explained = expected / cells.root[:, None]
-    return ModelError(ratio * noise, length, noise, J - explained[cells.which],
-                      cells.J.T @ expected, rest @ expected, e)
+    rows = np.concatenate([cells.J.T / scale[:, None], cells.root[None], cells.e[None]])
+    probability = np.zeros((len(LENGTHS), len(SIZES)))
+    _posterior(cells.distance, cells.root, rows, cells.within, cells.points,
+               squares / cells.noise**2, PRIOR, LENGTHS, probability)
+    if not np.isfinite(probability).all():
+        raise np.linalg.LinAlgError
+    return ErrorVariances(expected, probability @ squares, 1.0 - float(probability[:, 0].sum()))
+
+
+class Allowance:
+    """
+    Allows for an error of known size, also while the pose is improved.
+
+    Parameters
+    ----------
+    variances : ErrorVariances
+    x, e, J, weight, precision
+        As in `error_variances`.
+    noise : float, m
+        Standard deviation of a point, for the case that there are too few to estimate it.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If there are too few points; from `error` also if they do not constrain the pose.
+
+    """
+
+    def __init__(self, variances: ErrorVariances, x: Array, e: Array, J: Array, weight: Array,
+                 precision: Array, noise: float) -> None:
+        cells = _group(x, e, J, weight, precision, *FINE) or _group(x, e, J, weight, precision,
+                                                                    FINE[0], 1)
+        if cells is None:
+            raise np.linalg.LinAlgError
+        self._variances, self._cells, self._weight = variances, cells, weight * precision**2
+        self._noise = cells.noise if cells.points > 1.5 * len(cells.e) else noise
+        self._U = factored_covariance(cells.distance, cells.root,
+                                       variances.local / self._noise**2, LENGTHS)
+
+    def error(self, e: Array, J: Array) -> ModelError:
+        """Return the error for residuals ``e`` (n,) and derivatives ``J`` (n, 6) at a pose."""
+        cells, variances = self._cells, self._variances
+        rows = np.concatenate([J.T, np.ones((1, len(e)))])      # of the pose and of the offset
+        means = np.stack([np.bincount(cells.which, self._weight * row, len(cells.root))
+                          for row in rows]) / cells.root
+        # V^-1 J, where V = I + S is the covariance of the means; the expected error is S V^-1 e
+        rest = means.copy()
+        solve(self._U, rest)
+        explained = (means - rest) / cells.root
+        reduced = rows - explained[:, cells.which]
+        A, b = (reduced * self._weight) @ rows.T, (reduced * self._weight) @ e
+        C = _inverse(A[:6, :6])
+        slope = C @ A[:6, 6]       # of the pose by the offset
+        # the offset as if nothing was known of it, and its information: a Schur complement
+        information = A[6, 6] - A[6, :6] @ slope
+        offset, variance = _shrunk((b[6] - slope @ b[:6]) / information,
+                                   self._noise**2 / information, variances.expected)
+        return ModelError(
+            math.sqrt(variances.local.sum()) if variances.found > FOUND else 0.0, offset,
+            self._noise, reduced[:6].T, means[:6] @ (means - rest)[:6].T,
+            rest[:6] @ (means - rest)[:6].T, slope * offset - C @ b[:6],
+            variance * np.outer(slope, slope), e)
+
+
+def _inverse(A: Array) -> Array:
+    """Return the inverse of an information matrix (6, 6), in any unit; raise if it is singular."""
+    scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A / np.outer(scale, scale)
+    if not np.isfinite(A).all() or np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[0] < MIN_RANK:
+        raise np.linalg.LinAlgError
+    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
+
+
+def _shrunk(value: float, variance: float, expected: float) -> tuple[float, float]:
+    """Return mean and variance of the offset, m, from a measured ``value`` of this variance."""
+    squares = (expected * SIZES)**2
+    total = squares + variance
+    exponent = -0.5 * value**2 / total
+    p = PRIOR * np.exp(exponent - exponent.max()) / np.sqrt(total)
+    p /= p.sum()
+    share = squares / total
+    mean = float(p @ share)
+    return mean * value, float(mean * variance + (p @ share**2 - mean**2) * value**2)
 
 
 def _group(x: Array, e: Array, J: Array, weight: Array, precision: Array, max_cells: int,
            per_cell: int) -> _Cells | None:
     """Group points ``x`` (n, 3) in cells; return None if there are too few on the bone."""
+    x = x - e[:, None] * J[:, 3:]       # on the surface
     on = x[weight > 0.5]
     count = min(max_cells, len(on) // per_cell)
     if count < MIN_CELLS:
@@ -138,100 +264,32 @@ def _group(x: Array, e: Array, J: Array, weight: Array, precision: Array, max_ce
 
 
 @kernel
-def _maximize_likelihood(distance, root, rows, within, points):
+def _posterior(distance, root, rows, within, points, squares, prior, lengths, probability):
     """
-    Return the ratio of model error to noise (0 if there is none), its length, and the noise.
+    Fill ``probability`` (lengths, sizes) of the local error.
 
     distance, root, within, points : as in `_Cells`
-    rows : (7, m) the columns of J, of any scale, and e
+    rows : (8, m) the columns of J, of any scale, the offset and e
+    squares, prior : (k,) variance of the error of each size over that of the noise, and its prior
+        probability
     """
-    best, noise = _restricted_likelihood(np.eye(len(root)), rows.copy(), within, points)
-    best, found = best + MIN_GAIN, (0.0, 0.0, noise)
-    for length in LENGTHS:
-        correlation, last = _matern(distance, root, length), -np.inf
-        for ratio in RATIOS:
-            V = np.eye(len(root)) + ratio * ratio * correlation
-            likely, noise = _restricted_likelihood(V, rows.copy(), within, points)
-            if likely > best:
-                best, found = likely, (ratio, length, noise)
-            if likely < last:
-                break
-            last = likely
-    return found
-
-
-@kernel
-def _matern(distance, root, length):
-    """Return the Matern 3/2 correlation of cells (m, m), scaled by the roots of their weights."""
-    S = np.empty(distance.shape)
-    for i in range(len(S)):
-        for j in range(i + 1):
-            d = math.sqrt(3.0) * distance[i, j] / length
-            S[i, j] = S[j, i] = (1.0 + d) * math.exp(-d) * root[i] * root[j]
-    return S
-
-
-@kernel
-def _restricted_likelihood(V, rows, within, points):
-    """
-    Return the log-likelihood, up to a constant, and the noise that maximizes it.
-
-    V, rows : (m, m) covariance in units of the noise, (7, m) columns of J and e; both overwritten
-    """
-    log_det_V = _factor(V)
-    _forward_substitute(V, rows)
-    G = np.empty((7, 7))
-    for i in range(7):
-        for j in range(7):
-            G[i, j] = (rows[i] * rows[j]).sum()
-    log_det_G = _factor(G)
-    # the last pivot is the part of e that no motion explains
-    squared = within + G[6, 6] * G[6, 6]
-    freedom = points - 6.0
-    log_det_G -= 2.0 * math.log(G[6, 6])
-    return (-0.5 * (log_det_V + log_det_G + freedom * math.log(squared / freedom)),
-            math.sqrt(squared / freedom))
-
-
-@kernel
-def _solve(V, rows):
-    """Replace each row r of ``rows`` (k, m) by V^-1 r; ``V`` (m, m) is overwritten."""
-    _factor(V)
-    _forward_substitute(V, rows)
-    for row in rows:
-        for k in range(len(V) - 1, -1, -1):
-            total = row[k]
-            for j in range(k + 1, len(V)):
-                total -= V[k, j] * row[j]
-            row[k] = total / V[k, k]
-
-
-@kernel
-def _factor(V):
-    """
-    Replace the upper triangle of ``V`` by U, V = U^T U (Cholesky); return log det V.
-
-    Not from a library: the last bits would depend on its threads.
-    """
-    m = len(V)
-    log_det = 0.0
-    for k in range(m):
-        pivot = math.sqrt(V[k, k])
-        log_det += 2.0 * math.log(pivot)
-        for i in range(k, m):
-            V[k, i] /= pivot
-        for j in range(k + 1, m):
-            factor = V[k, j]
-            for i in range(j, m):
-                V[j, i] -= factor * V[k, i]
-    return log_det
-
-
-@kernel
-def _forward_substitute(U, rows):
-    """Replace each row r of ``rows`` (k, m) by U^-T r."""
-    for row in rows:
-        for k in range(len(U)):
-            row[k] /= U[k, k]
-            for j in range(k + 1, len(U)):
-                row[j] -= U[k, j] * row[k]
+    m, freedom = len(root), points - 7.0
+    diagonal, beside = np.empty(m), np.empty(m)
+    G = np.empty((8, 8))
+    for i in range(len(lengths)):
+        S = np.zeros((m, m))
+        add_matern(distance, root, lengths[i], 1.0, S)
+        turned = rows.copy()
+        tridiagonalize(S, turned, diagonal, beside)
+        for k in range(len(squares)):
+            log_det = gram(diagonal, beside, squares[k], turned.copy(), G) + factor(G)
+            # the last pivot is the part of e that no motion and no offset explains
+            squared = within + G[7, 7] * G[7, 7]
+            log_det -= 2.0 * math.log(G[7, 7])
+            probability[i, k] = (math.log(prior[k])
+                                 - 0.5 * (log_det + freedom * math.log(squared / freedom)))
+    highest = probability.max()
+    for i in range(len(lengths)):
+        for k in range(len(squares)):
+            probability[i, k] = math.exp(probability[i, k] - highest)
+    probability /= probability.sum()

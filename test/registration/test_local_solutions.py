@@ -39,7 +39,7 @@ def test_many_points_have_the_minima_of_all(points: Array, monkeypatch: pytest.M
         assert min(apart(each.T_bone_tracker, other.T_bone_tracker)
                    for other in fast) < SAME_MINIMUM
     gaps = [[other.gap for other in select_pose(found, points, bone_field(),
-                                                CONFIG.solver).alternatives]
+                                                CONFIG).alternatives]
             for found in (slow, fast)]
     assert gaps[0] and np.allclose(gaps[0], gaps[1], rtol=0.05)
 

@@ -48,7 +48,7 @@ def test_soft_tissue_biases_single_solutions_but_not_the_selected_pose() -> None
         points = under_tissue(0.35, seed)
         alone.append(solve(points, bone_field(), near(seed), CONFIG.solver))
         chosen.append(select_pose(solve_all(points, bone_field(), [near(seed)], CONFIG), points,
-                             bone_field(), CONFIG.solver).solution)
+                             bone_field(), CONFIG).solution)
         assert off(chosen[-1].T_bone_tracker, points) < 4e-4 and chosen[-1].consistent
     # otherwise the test would be too easy
     assert max(off(solution.T_bone_tracker, points) for solution in alone) > 8e-4
@@ -66,7 +66,7 @@ def test_a_model_error_everywhere_is_allowed_for() -> None:
     points = rigid.transform(T_TRACKER_BONE, points + wave[:, None] * gradient)
     points += 1e-4 * np.random.default_rng(0).normal(size=points.shape)
     chosen = select_pose(solve_all(points, bone_field(), [near(0)], CONFIG), points, bone_field(),
-                    CONFIG.solver).solution
+                    CONFIG).solution
     assert (chosen.weights > 0.5).mean() > 0.9 and off(chosen.T_bone_tracker, points) < 6e-4
 
 
@@ -74,7 +74,7 @@ def test_alternatives_are_distinct_and_sorted_by_likelihood() -> None:
     points = under_tissue(0.0, 1)
     turned = [T_BONE_TRACKER @ rigid.exp([0.0, angle, 0.0, 0.0, 0.0, 0.0]) for angle in (0.8, 2.0)]
     selected = select_pose(solve_all(points, bone_field(), [near(0), *turned], CONFIG), points,
-                    bone_field(), CONFIG.solver)
+                    bone_field(), CONFIG)
     assert off(selected.solution.T_bone_tracker, points) < 2e-4
     gaps = [other.gap for other in selected.alternatives]
     assert gaps and gaps == sorted(gaps) and gaps[0] > CONFIG.limits.min_gap
@@ -94,7 +94,7 @@ def test_the_air_decides_on_which_side_of_the_points_the_bone_is() -> None:
     def select(starts: list[Array], air: Array) -> tuple[float, int]:
         evidence = Evidence(air=air)
         found = solve_all(points, plate_field(), starts, CONFIG, evidence=evidence)
-        chosen = select_pose(found, points, plate_field(), CONFIG.solver, evidence)
+        chosen = select_pose(found, points, plate_field(), CONFIG, evidence)
         return (float(chosen.solution.T_bone_tracker[2, 2]),
                 len(chosen.ambiguous(CONFIG.limits.min_gap)))
     for starts in ([upright, turned], [turned, upright]):

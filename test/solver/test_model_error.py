@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regional model error: found where there is one, allowed for, and not found in noise."""
+"""Model error: estimated where there is one, allowed for, and small in noise."""
 
 from __future__ import annotations
 
@@ -18,17 +18,24 @@ from gsdf_registration.common.rigid import Array
 from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.solver import Solution, allow_for_model_error, solve
 from gsdf_registration.solver.model_error import (
+    EXACT,
     FINE,
+    LENGTHS,
+    PRIOR,
+    SIZES,
+    Allowance,
+    ErrorVariances,
     _group,
-    _matern,
-    _restricted_likelihood,
-    find_model_error,
+    _posterior,
+    error_variances,
 )
+from gsdf_registration.solver.process_matrices import add_matern, factor, gram, tridiagonalize
 
 CONFIG = SolverConfig()
 T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
 SIGMA = 3e-4                    # m, noise
 ERROR, LENGTH = 3e-4, 0.012     # m, model error (SD) and its correlation length
+EXPECTED = 2.5e-4               # m, expected model error
 
 
 def measured(seed: int, error: float = ERROR, n: int = 800) -> Array:
@@ -46,6 +53,10 @@ def measured(seed: int, error: float = ERROR, n: int = 800) -> Array:
 
 def solved(points: Array) -> Solution:
     return solve(points, bone_field(), T_BONE_TRACKER, CONFIG)
+
+
+def allowed_for(solution: Solution, points: Array, expected: float = EXPECTED) -> Solution:
+    return allow_for_model_error(solution, points, bone_field(), expected)
 
 
 def error_of(solution: Solution, centroid: Array) -> Array:
@@ -71,7 +82,7 @@ def trials() -> list[Trial]:
     for seed in range(30):
         points = measured(seed)
         figures = []
-        for solution in (solved(points), allow_for_model_error(solved(points), points)):
+        for solution in (solved(points), allowed_for(solved(points), points)):
             confidence = assess_at(solution, points, bone_field(), CONFIG)
             assert confidence is not None
             e = error_of(solution, confidence.centroid)
@@ -84,19 +95,46 @@ def trials() -> list[Trial]:
 
 
 def test_finds_no_model_error_in_noise() -> None:
-    solutions = [(solved(points), points) for points in (measured(seed, 0.0) for seed in range(30))]
-    untouched = [allow_for_model_error(solution, points) is solution
-                 for solution, points in solutions]
-    assert sum(untouched) >= 28     # the threshold permits rare false alarms
+    """Nearly always none is reported, and the stated error of the pose hardly grows."""
+    reported, growth = [], []
+    for seed in range(30):
+        points = measured(seed, 0.0)
+        before = solved(points)
+        after = allowed_for(before, points)
+        assert after.model_error is not None
+        reported.append(after.model_error.sd > 0.0)
+        stated = [assess_at(solution, points, bone_field(), CONFIG) for solution in (before, after)]
+        assert stated[0] is not None and stated[1] is not None
+        growth.append(np.trace(stated[1].motion_covariance[3:, 3:])
+                      / np.trace(stated[0].motion_covariance[3:, 3:]))
+    assert sum(reported) <= 2
+    assert np.median(np.sqrt(growth)) < 1.5
 
 
-def test_estimates_size_noise_and_correlation_length() -> None:
-    errors = [allow_for_model_error(solved(points), points).model_error
+def test_estimates_size_and_noise() -> None:
+    errors = [allowed_for(solved(points), points).model_error
               for points in (measured(seed) for seed in range(8))]
-    assert all(error is not None for error in errors)
     assert np.median([error.sd for error in errors if error]) == pytest.approx(ERROR, rel=0.4)
     assert np.median([error.noise for error in errors if error]) == pytest.approx(SIGMA, rel=0.1)
-    assert 0.5 * LENGTH < np.median([error.length for error in errors if error]) < 3.0 * LENGTH
+
+
+@pytest.mark.parametrize('offset', [-4e-4, 4e-4])
+def test_an_offset_of_the_whole_bone_does_not_move_the_pose(offset: float) -> None:
+    touched = touched_points(800, 0)
+    touched = touched + offset * bone_field().sample(touched)[1]
+    noise = 1e-4 * np.random.default_rng(0).normal(size=touched.shape)
+    points = rigid.transform(T_TRACKER_BONE, touched + noise)
+    before = solved(points)
+    after = allowed_for(before, points)
+    assert after.model_error is not None
+    assert after.model_error.offset == pytest.approx(offset, abs=5e-5)
+    confidence = assess_at(after, points, bone_field(), CONFIG)
+    assert confidence is not None
+    with_offset, without = (np.linalg.norm(error_of(solution, confidence.centroid)[3:])
+                            for solution in (after, before))
+    assert with_offset < 0.5 * without
+    error = error_of(after, confidence.centroid)
+    assert error @ np.linalg.solve(confidence.motion_covariance, error) < 20.0
 
 
 def test_reduces_the_error_of_the_pose() -> None:
@@ -109,7 +147,7 @@ def test_covariance_is_consistent_with_the_error_of_the_pose() -> None:
     without, allowed = (np.mean(figure) / 6.0 for figure in zip(
         *((trial.nees_without, trial.nees_allowed) for trial in trials())))
     assert without > 4.0        # correlated points taken as independent
-    assert 0.6 < allowed < 2.0
+    assert 0.4 < allowed < 1.4
 
 
 @settings(deadline=None, max_examples=5)
@@ -118,9 +156,9 @@ def test_is_invariant_under_rigid_motion(seed: int) -> None:
     T = rigid.exp(np.random.default_rng(seed).uniform(-1.0, 1.0, 6))
     here = measured(4)
     there = rigid.transform(T, here)
-    solution = allow_for_model_error(solved(here), here)
-    moved = allow_for_model_error(
-        solve(there, bone_field(), T_BONE_TRACKER @ rigid.inverse(T), CONFIG), there)
+    solution = allowed_for(solved(here), here)
+    moved = allowed_for(solve(there, bone_field(), T_BONE_TRACKER @ rigid.inverse(T), CONFIG),
+                        there)
     assert solution.model_error is not None and moved.model_error is not None
     np.testing.assert_allclose(moved.T_bone_tracker @ T, solution.T_bone_tracker, atol=2e-6)
     assert moved.model_error.sd == pytest.approx(solution.model_error.sd, rel=1e-3)
@@ -129,7 +167,7 @@ def test_is_invariant_under_rigid_motion(seed: int) -> None:
 def test_step_is_part_of_the_correction() -> None:
     points = measured(1)
     before = solved(points)
-    after = allow_for_model_error(before, points)
+    after = allowed_for(before, points)
     np.testing.assert_allclose(rigid.inverse(after.correction) @ after.T_bone_tracker,
                                rigid.inverse(before.correction) @ before.T_bone_tracker, atol=1e-12)
     distance = bone_field().sample(rigid.transform(after.T_bone_tracker, points))[0]
@@ -144,12 +182,15 @@ def test_information_agrees_with_the_full_covariance() -> None:
     x = rigid.transform(solution.T_bone_tracker, points)
     e, J, w = solution.residuals, solution.jacobian, np.full(300, 0.9)
     precision = np.linspace(0.8, 1.2, 300)
-    error = find_model_error(x, e, J, w, precision)
-    cells = _group(x - e[:, None] * J[:, 3:], e, J, w, precision, *FINE)
-    assert error is not None and cells is not None
-    among = _matern(cells.distance, np.ones(len(cells.root)), error.length)
-    among = among[np.ix_(cells.which, cells.which)]
-    V = np.diag(error.noise**2 / (w * precision**2)) + error.sd**2 * among
+    variances = (2.0 * ERROR)**2 * np.array([0.0, 0.3, 0.5, 0.2, 0.0])
+    error = Allowance(ErrorVariances(EXPECTED, variances, 1.0), x, e, J, w, precision, SIGMA).error(
+        e, J)
+    cells = _group(x, e, J, w, precision, *FINE)
+    assert cells is not None
+    among = np.zeros(cells.distance.shape)
+    for length, variance in zip(LENGTHS, variances):
+        add_matern(cells.distance, np.ones(len(among)), length, variance, among)
+    V = np.diag(error.noise**2 / (w * precision**2)) + among[np.ix_(cells.which, cells.which)]
     information = J.T @ np.linalg.solve(V, J)
     scale = np.sqrt(np.outer(np.diag(information), np.diag(information)))
     weight = w * precision**2
@@ -162,35 +203,74 @@ def test_information_agrees_with_the_full_covariance() -> None:
     assert (np.abs(between / error.noise**2 - information) < 1e-9 * scale).all()
 
 
-def test_restricted_likelihood_is_the_density_of_the_residual_contrasts() -> None:
-    """Compare with the density of A^T e, A orthogonal to J (Patterson and Thompson)."""
+def test_the_posterior_is_prior_times_density_of_the_residual_contrasts() -> None:
+    """Compare with the density of A^T e, A orthogonal to J and the offset (Patterson, Thompson)."""
     rng = np.random.default_rng(0)
-    J, e, v = rng.normal(size=(20, 6)), rng.normal(size=20), rng.uniform(0.5, 2.0, 20)
-    A = np.linalg.svd(J, full_matrices=True)[0][:, 6:]
-    S = A.T @ np.diag(v) @ A
-    rest = A.T @ e
-    # plus 30 points about the means of their cells, with the same variance
-    variance = (rest @ np.linalg.solve(S, rest) + 40.0) / (14 + 30)
-    expected = -0.5 * (np.linalg.slogdet(S)[1] + np.linalg.slogdet(J.T @ J)[1]
-                       + 44 * np.log(variance))
-    likelihood, noise = _restricted_likelihood(np.diag(v), np.vstack([J.T, e]), 40.0, 50.0)
-    assert likelihood == pytest.approx(expected, rel=1e-12)
-    assert noise == pytest.approx(np.sqrt(variance), rel=1e-12)
+    J, e, root = rng.normal(size=(30, 6)), rng.normal(size=30), rng.uniform(1.0, 2.0, 30)
+    x = rng.uniform(0.0, 0.03, (30, 3))
+    distance = np.linalg.norm(x[:, None] - x, axis=2)
+    A = np.linalg.svd(np.column_stack([J, root]), full_matrices=True)[0][:, 7:]
+    squares = SIZES**2
+    expected = np.empty((len(LENGTHS), len(SIZES)))
+    for i, length in enumerate(LENGTHS):
+        for k, square in enumerate(squares):
+            V = np.eye(30)
+            add_matern(distance, root, length, square, V)
+            S, rest = A.T @ V @ A, A.T @ e
+            # plus 40 points about the means of their cells, with the same noise
+            variance = (rest @ np.linalg.solve(S, rest) + 50.0) / (23 + 40)
+            expected[i, k] = (np.log(PRIOR[k]) - 0.5 * np.linalg.slogdet(S)[1]
+                              - 31.5 * np.log(variance))
+    expected = np.exp(expected - expected.max())
+    found = np.empty_like(expected)
+    rows = np.concatenate([J.T, root[None], e[None]])
+    _posterior(distance, root, rows, 50.0, 70.0, squares, PRIOR, LENGTHS, found)
+    np.testing.assert_allclose(found, expected / expected.sum(), rtol=1e-9)
 
 
-def test_few_points_and_the_published_method_are_unchanged() -> None:
+def test_the_tridiagonal_form_gives_the_same_products_as_the_full_matrix() -> None:
+    rng = np.random.default_rng(1)
+    S, rows = rng.normal(size=(12, 12)), rng.normal(size=(3, 12))
+    S = S @ S.T
+    S[0, 1:] = S[1:, 0] = 0.0       # nothing to reflect in the first column
+    diagonal, beside, turned, G = np.empty(12), np.empty(12), rows.copy(), np.empty((3, 3))
+    V = np.eye(12) + 0.5 * S
+    tridiagonalize(S.copy(), turned, diagonal, beside)
+    log_det = gram(diagonal, beside, 0.5, turned, G)
+    np.testing.assert_allclose(G, rows @ np.linalg.solve(V, rows.T), rtol=1e-10)
+    assert log_det == pytest.approx(np.linalg.slogdet(V)[1])
+    assert factor(V.copy()) == pytest.approx(log_det)
+
+
+def test_the_prior_probabilities_add_up() -> None:
+    assert PRIOR.sum() == pytest.approx(1.0) and PRIOR[0] == EXACT and (PRIOR > 0.0).all()
+
+
+def test_few_points_have_the_expected_error() -> None:
     few = measured(0, n=60)
-    solution = solved(few)
-    assert allow_for_model_error(solution, few) is solution
+    for expected in (EXPECTED, 2.0 * EXPECTED):
+        error = allowed_for(solved(few), few, expected).model_error
+        sizes = error_variances(few, np.zeros(60), np.zeros((60, 6)), np.ones(60), np.ones(60),
+                                expected)
+        assert error is not None and sizes.found == 1.0 - EXACT
+        assert np.sqrt(sizes.local.sum()) == pytest.approx(
+            expected * np.sqrt(PRIOR @ SIZES**2))
+
+
+def test_an_exact_model_and_the_published_method_are_unchanged() -> None:
     points = measured(0)
+    solution = solved(points)
+    assert allowed_for(solution, points, 0.0) is solution
     published = solve(points, bone_field(), T_BONE_TRACKER, SolverConfig(method='paper'))
-    assert allow_for_model_error(published, points) is published
+    assert allowed_for(published, points) is published
 
 
-def test_finds_no_model_error_on_a_plane() -> None:
+def test_points_of_a_plane_are_rejected() -> None:
     rng = np.random.default_rng(0)
     x = np.column_stack([rng.uniform(-0.03, 0.03, (300, 2)), np.zeros(300)])
     normal = np.array([0.0, 0.0, 1.0])
     J = np.concatenate([np.cross(x, normal), np.tile(normal, (300, 1))], axis=1)
     e = 1e-3 * np.sin(x[:, 0] / 0.01) + 1e-4 * rng.normal(size=300)
-    assert find_model_error(x, e, J, np.ones(300), np.ones(300)) is None
+    rows = x, e, J, np.ones(300), np.ones(300)
+    with pytest.raises(np.linalg.LinAlgError):
+        Allowance(error_variances(*rows, EXPECTED), *rows, SIGMA).error(e, J)
