@@ -32,7 +32,8 @@ def run(args: argparse.Namespace) -> int:
     """Build the field and print its size."""
     from gsdf_registration.common.config import Config
     from gsdf_registration.field import save_field
-    from gsdf_registration.field.model import load_model
+    from gsdf_registration.field.model import find_model, load_model
+    from msg_adapters.slicer import model_axes
 
     # the same range as for the setting model.voxel_size
     voxel_size = Config.from_flat({'model.voxel_size': 1e-3 * args.voxel}).model.voxel_size
@@ -42,7 +43,9 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         save_field(field, args.output)
     size = ' x '.join(f'{1e3 * side:.0f}' for side in field.bounds[1] - field.bounds[0])
-    print(f'{args.model}: {size} mm, field of {1e3 * field.voxel_size:g} mm voxels, '
+    axes = model_axes(find_model(args.model))
+    stated = f' in the axes {axes.upper()}' if axes else ''
+    print(f'{args.model}: {size} mm{stated}, field of {1e3 * field.voxel_size:g} mm voxels, '
           f'{1e-6 * field.nbytes:.1f} MB, {seconds:.2f} s'
           + (f', written to {args.output}' if args.output else ''))
     return 0

@@ -89,6 +89,7 @@ def test_build_takes_a_label_of_a_segmentation(tmp_path: Path,
     SimpleITK.WriteImage(image, str(path))
     assert 'choose one with --label (model.label): 2, 9' in refusal(capsys, 'build', path)
     assert main(['build', str(path), '--label', '2', '--voxel', '4', '-o', str(out)]) == 0
+    assert 'mm in the axes LPS, field of 4 mm voxels' in capsys.readouterr().out
     # voxels 15 to 24 lie between 129 and 149 mm
     np.testing.assert_allclose(1e3 * load_field(out).bounds,
                                [[129, 19, 9], [149, 59, 69]], atol=0.5)
