@@ -81,10 +81,13 @@ STATUS = {
     'state': '`no_model`, `idle`, `collecting`, `ready`, `solving`, `registered` or `refused`',
     'received': 'samples received',
     'kept': 'points kept',
+    'collecting': '`true` while points are kept, else `false`',
     'strokes': 'strokes that contain points',
     'landmarks': 'captured landmarks',
     'frame_id': 'frame of the points; empty until the first one',
     'reason': 'of the last registration, see below; empty before',
+    'progress': 'share of a registration, or of compiling and loading, that is done, 0 to 1, at '
+                'most five times a second; empty while none runs',
     'rejected.*': 'samples rejected, by cause',
     'pose': '`none`, or `in` the frame of the accepted registration',
     'withdrawn': 'why the last pose is withdrawn, see [pose_lifetime.md](pose_lifetime.md); empty '
@@ -112,6 +115,7 @@ STATUS = {
                          'm',
     'landmark.*': 'how each landmark with a standard deviation fits, a sentence',
     'verification': 'summary of all verification points, a sentence; absent without any',
+    'verification_m.*': 'signed distance of each verification point from the registered surface, m',
 }
 REASONS = {
     Reason.CONVERGED: 'success; every other reason is a refusal',

@@ -19,13 +19,17 @@ from gsdf_registration.field.model import find_model, load_model
 from gsdf_registration.node.memory import release_compiler
 from gsdf_registration.registration.kernels import compile_kernels, load_kernels
 
+COMPILATION = 0.9   # share of the time that the kernels take, if they are compiled
+Show = Callable[[float, str], None]
+
 
 def load(config: Config, log: RcutilsLogger,
-         show: Callable[[str], None] = lambda sentence: None) -> Field | None:
+         show: Show = lambda share, sentence: None) -> Field | None:
     """
     Return the field of ``model.path``; if that is empty, log a warning and return None.
 
-    It runs in the background; ``show`` receives a sentence on what is being done.
+    It runs in the background; ``show`` receives how far it is, 0 to 1, and a sentence on what is
+    being done.
 
     Raises
     ------
@@ -41,7 +45,7 @@ def load(config: Config, log: RcutilsLogger,
     with _no_collection(), _warnings_to(log):
         _compile(show)
         log.info(f'loading {path}')
-        show(f'loading {path}; wait a moment')
+        show(COMPILATION, f'loading {path}; wait a moment')
         field = _load(config)
         load_kernels()
         release_compiler()
@@ -68,10 +72,11 @@ def _load(config: Config) -> Field:
                          f'{error or type(error).__name__}', Reason.NO_MODEL) from None
 
 
-def _compile(show: Callable[[str], None]) -> None:
+def _compile(show: Show) -> None:
     """Compile the kernels in other processes, and show the progress."""
     def progress(share: float) -> None:
-        show(f'compiling, once on this machine ({100.0 * share:.0f} %); wait a moment')
+        show(COMPILATION * share,
+             f'compiling, once on this machine ({100.0 * share:.0f} %); wait a moment')
     if not kernels_compiled():
         progress(0.0)
         compile_kernels(progress)

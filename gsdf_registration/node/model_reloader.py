@@ -155,7 +155,7 @@ class ModelReloader:
                 self.notice = ''
         node.publish_status()
 
-    def _show_progress(self, sentence: str) -> None:
+    def _show_progress(self, _: float, sentence: str) -> None:
         """Show what is done; called in the background."""
         self.notice = f'{sentence}; the current bone is used until then'
 

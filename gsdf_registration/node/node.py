@@ -26,6 +26,7 @@ from gsdf_registration.node.loading import load
 from gsdf_registration.node.model_reloader import ModelReloader
 from gsdf_registration.node.outputs import Outputs
 from gsdf_registration.node.parameters import ParameterWatch, declare_parameters
+from gsdf_registration.node.progress import Progress
 from gsdf_registration.node.publishers import StatusPublisher
 from gsdf_registration.node.qos import OFFERED, STEADY
 from gsdf_registration.node.services import Services
@@ -62,7 +63,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self.session = Session(config)
         self.field: Field | None = None
         self.cancelled = threading.Event()
-        self._loading = ''      # sentence on the bone that is loaded while configuring
+        self.progress = Progress(self.publish_status_soon)
         self._rejected = 0                          # points, at the last tick
         self.files = SessionFiles(self.get_logger())
         self._inputs: Inputs | None = None
@@ -101,19 +102,14 @@ class RegistrationNode(PreparedLifecycleNode):
         config = self.session.config
 
         def job() -> tuple[Field | None, Session]:
-            field = load(config, self.get_logger(), self._show_loading)
+            field = load(config, self.get_logger(), self.progress.show)
             session = Session(config, field)
             self.files.open(session, config.session)
             return field, session
         try:
             return await self._reloader.run(job)
         finally:
-            self._loading = ''
-
-    def _show_loading(self, sentence: str) -> None:
-        """Show how far the bone is loaded; called in the background."""
-        self._loading = sentence
-        self.publish_status_soon()
+            self.progress.end()
 
     @transition('configuring', 'inactive')
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -197,7 +193,7 @@ class RegistrationNode(PreparedLifecycleNode):
         if self.state == 'active':
             return ''
         if self.state == 'configuring':
-            return self._loading or 'the bone is being loaded; wait a moment'
+            return self.progress.sentence or 'the bone is being loaded; wait a moment'
         if self.state == 'finalized':
             return 'the node is finalized; start a new one'
         if self.problem is not None:
@@ -304,7 +300,8 @@ class RegistrationNode(PreparedLifecycleNode):
                                     self._parameter_watch.waiting, self._reloader.notice),
                 self._hints.sentence),
             warning=status.warning or bool(self.files.problem) or self._hints.warning,
-            reason=status.reason if self.problem is None else self.problem.reason)
+            reason=status.reason if self.problem is None else self.problem.reason,
+            progress=self.progress.share)
 
     def _tick(self) -> None:
         if self.state in ('active', 'inactive'):

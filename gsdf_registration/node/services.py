@@ -19,6 +19,7 @@ from gsdf_registration.common.rigid import Array, rms_displacement
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.node.background import BackgroundThread
+from gsdf_registration.node.progress import Progress
 from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.status import pose_kept
 from gsdf_registration.node.typed_services import typed_services
@@ -37,6 +38,7 @@ class ServiceNode(Protocol):
     session: Session
     files: SessionFiles
     cancelled: threading.Event      # set to cancel a running registration
+    progress: Progress              # of the running registration
 
     @property
     def executor(self) -> Executor | None:
@@ -203,8 +205,15 @@ class Services:
 
     async def _register(self, T_tracker_bone: Array | None) -> RegistrationResult:
         session, cancelled = self._node.session, self._node.cancelled
-        result: RegistrationResult = await self._in_background(lambda: session.register(
-            T_tracker_bone=T_tracker_bone, cancelled=cancelled.is_set))
+        progress = self._node.progress
+
+        def job() -> RegistrationResult:
+            try:
+                return session.register(T_tracker_bone=T_tracker_bone, cancelled=cancelled.is_set,
+                                        progress=progress.show)
+            finally:
+                progress.end()
+        result: RegistrationResult = await self._in_background(job)
         self._node.registration_finished(result.success)
         return result
 

@@ -63,8 +63,10 @@ def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticSta
     """Return ``status`` as a message from the node ``name``. Values are SI units or plain text."""
     values: dict[str, Any] = {
         'state': status.state, 'received': status.received, 'kept': status.kept,
-        'strokes': status.strokes, 'landmarks': status.landmarks, 'frame_id': status.frame_id or '',
-        'reason': status.reason or '', **{
+        'collecting': str(status.collecting).lower(), 'strokes': status.strokes,
+        'landmarks': status.landmarks, 'frame_id': status.frame_id or '',
+        'reason': status.reason or '',
+        'progress': '' if status.progress is None else f'{status.progress:.2f}', **{
             f'rejected.{cause}': count
             for cause, count in status.rejected.items()
         }, 'pose': 'none' if status.pose_result is None else f'in {status.pose_frame_id}',
@@ -81,6 +83,8 @@ def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticSta
     }
     if status.verification is not None:
         values['verification'] = status.verification.sentence
+        values |= {f'verification_m.{number}': f'{distance:.6f}'
+                   for number, distance in status.verification.distances_m.items()}
     message = status.message + (pose_kept(status) if status.state == 'refused' else '')
     level = LEVELS.get(status.state, DiagnosticStatus.OK)
     full = status.full and status.state in ('collecting', 'idle', 'ready')

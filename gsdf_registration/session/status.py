@@ -48,6 +48,8 @@ class Status:
     captured: tuple[CapturedLandmark, ...] = ()
     calibration: CalibrationProgress | None = None      # of one that runs
     full: bool = False          # whether collecting has stopped because no more points fit
+    collecting: bool = False
+    progress: float | None = None       # of what the operator waits for, 0 to 1; None: nothing
 
 
 _ADVICE = {
@@ -130,7 +132,8 @@ def make_status(state: SessionState, solving: bool, notices: Notices,
         withdrawn=state.withdrawn,
         captured=tuple(state.landmarks.captured),
         calibration=calibration,
-        full=_is_full(state))
+        full=_is_full(state),
+        collecting=collection.collecting)
 
 
 def _sentence(name: str, state: SessionState, remaining: list[str]) -> str:

@@ -48,6 +48,7 @@ class VerificationSummary:
     rms_m: float
     moved_m: float | None   # largest displacement of a checkpoint at its last touch; None: none
     limit_m: float
+    distances_m: dict[int, float]     # signed, at the last touch of each checkpoint
 
     @property
     def good(self) -> bool:
@@ -130,4 +131,4 @@ def summarize(verifications: Sequence[Verification], limit: float) -> Verificati
     moved = [each.moved_m for each in last if each.moved_m is not None]
     return VerificationSummary(len(last), float(np.abs(distances).max()),
                                float(np.sqrt(np.mean(distances**2))), max(moved, default=None),
-                               limit)
+                               limit, {each.checkpoint: each.distance_m for each in last})
