@@ -440,11 +440,14 @@ class SessionState:
         self._begin()
         if saved.pose_result is not None:
             self.withdrawn, self.registration_id = None, 1
-            registered = ~np.isnan(saved.weights)
+            known = ~np.isnan(saved.weights)
+            count = int(known.sum())
+            # mostly the first ones: views of them take no memory
+            registered = slice(count) if known[:count].all() else known
             self.accepted = AcceptedRegistration(
                 dataclasses.replace(saved.pose_result, residuals_m=saved.residuals[registered],
                                     weights=saved.weights[registered]),
-                Points(*(column[registered] for column in saved.points)),
+                Points(*(column[registered] for column in self.collection.points())),
                 self.collection.serials()[registered], saved.pose_frame_id)
         last = saved.result
         self.refusal = last if last is not None and not last.success else None
