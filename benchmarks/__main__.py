@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 from gsdf_registration.common.command_line import Parser, example, run_command
 
-BENCHMARKS = ('field', 'solve', 'search', 'trust', 'paper', 'guided', 'live', 'pivot', 'air',
-              'landmarks', 'fixtures')
+BENCHMARKS = ('field', 'solve', 'search', 'trust', 'calibration', 'paper', 'guided', 'live',
+              'pivot', 'air', 'landmarks', 'fixtures')
 
 
 def make_parser() -> Parser:

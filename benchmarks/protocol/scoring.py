@@ -106,7 +106,7 @@ def cramer_rao(problem: Problem) -> Confidence:
 
     """
     x = problem.touched
-    _, n = problem.field.sample(x)
+    _, n = (problem.bone or problem.field).sample(x)
     m = x.mean(axis=0)
     J = np.concatenate([np.cross(x - m, n), n], axis=1)
     sigma = np.broadcast_to(problem.trial.scenario.sigma, 3)

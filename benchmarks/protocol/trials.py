@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.protocol import hard_cases, touching
 from benchmarks.protocol.cases import KIND, Case, between_scans, bone, region_patch, surface
+from benchmarks.protocol.real_models import REAL_MODELS, model_of, with_deviation
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.simulation.ball_tip import with_ball_tip
@@ -30,6 +31,7 @@ from gsdf_registration.simulation.probe import (
 
 POINTS = (600, 1000)    # minimum and maximum number of samples on the bone
 SIGMA = 5e-4            # m, noise of a point per axis
+OPTICAL = 1.5e-4        # m, that of an optical tracker
 # hard cases: the pose can be found or not; the points are not of the model, so every pose is wrong
 POSSIBLE = ('cup_only', 'shaft_only', 'model_off', 'other_scan')
 IMPOSSIBLE = ('mirrored', 'contralateral', 'other_bone', 'other_person', 'object_only',
@@ -48,6 +50,7 @@ class Scenario:
         the bone; 0: strokes
     landmarks : whether three landmarks, touched 3 mm off, are given
     rest : m, smallest and largest distance from the bone at which the tip also rests; None: nowhere
+    real_model : what is inexact, of `REAL_MODELS`; empty: nothing
     """
 
     name: str
@@ -58,6 +61,7 @@ class Scenario:
     touches: int = 0
     landmarks: bool = False
     rest: tuple[float, float] | None = None
+    real_model: str = ''
 
     @property
     def wrong(self) -> bool:
@@ -90,6 +94,8 @@ SCENARIOS = {scenario.name: scenario for scenario in (
       for count in (40, 60) for soft in (0, 10, 20)),
     *(Scenario(name, sigma=1.5e-4, rest=off) for name, off in (
         ('rest_on', (0.0, 0.0)), ('rest_beside', (0.001, 0.01)), ('rest_far', (0.05, 0.3)))),
+    *(Scenario(word + optical, sigma=sigma, real_model=word) for word in REAL_MODELS
+      for optical, sigma in (('', SIGMA), ('_optical', OPTICAL))),
     *(Scenario(word, hard=word) for word in POSSIBLE + IMPOSSIBLE))}
 
 
@@ -128,12 +134,14 @@ class Problem:
     field : of the model to be registered, for the tip of the scenario
     recording : the points, ``recording.positions`` (n, 3) m, tracker frame, and their ground truth
     patch : the exposed area
+    bone : field of the bone that is touched, if its model is another one
     """
 
     trial: Trial
     field: Field
     recording: SimulatedRecording
     patch: Patch
+    bone: Field | None = None
 
     @property
     def touched(self) -> Array:
@@ -193,6 +201,10 @@ def make(trial: Trial) -> Problem:
                               T_tracker_bone=T)
     if trial.scenario.rest:
         recording = touching.with_rest(recording, patch, trial.scenario.rest, tracker, rng)
+    if trial.scenario.real_model:
+        recording = with_deviation(recording, trial.scenario.real_model, field, patch, rng)
+        model = model_of(trial.model, trial.scenario.real_model, trial.seed)
+        return Problem(trial, model, recording, patch, field)
     if word == 'model_off':
         recording = hard_cases.with_model_error(recording, field, rng)
     radius = trial.scenario.tip_radius

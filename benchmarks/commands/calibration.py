@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m benchmarks calibration``: whether the stated errors are true."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from gsdf_registration.common.command_line import example, positive_number
+from gsdf_registration.common.result import InputError
+
+# with an exact model, with interference, and all that have an inexact one
+EXACT = ('clean', 'sigma_0.15', 'uniform_50', 'mixed_40')
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'calibration',
+        help='compare true with stated errors, on exact and inexact models',
+        description='Solve from near the true pose, and compare the error of the pose with the '
+        'stated covariance, and the error at places near the incision and over the bone with the '
+        'stated RMS and 95 % bound. Rows already in FILE are not computed again. Imperfect models '
+        'are made once, which takes some seconds each, and cached.',
+        **example('python -m benchmarks calibration --bones ~/bones -o calibration.tsv'))
+    add_bones_option(parser)
+    parser.add_argument('--trials', type=positive_number, default=200, metavar='N',
+                        help='number of trials of each scenario (default: 200)')
+    parser.add_argument('--scenarios', metavar='NAME,...', default='',
+                        help='scenarios of the trust benchmark; * matches any text (default: '
+                        f'{", ".join(EXACT)} and those with an inexact model)')
+    add_seed_option(parser, 'seed of the first trials')
+    add_table_options(parser, 'trial')
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the trials and print the table."""
+    from benchmarks.calibration.tables import COLUMNS, WIDTHS, table
+    from benchmarks.calibration.trial import run_trial
+    from benchmarks.commands.trust import scenarios
+    from benchmarks.execution.runner import run_all
+    from benchmarks.protocol.cases import find_cases
+    from benchmarks.protocol.trials import SCENARIOS, trials
+    from msg_adapters.settings_file import read_config
+
+    cases = find_cases(bones(args.bones))
+    config = read_config(args.config).replaced({'search.threads': 1})
+    wanted = scenarios(args.scenarios) if args.scenarios else [
+        each for each in SCENARIOS.values() if each.name in EXACT or each.real_model]
+    wanted = [each for each in wanted if not each.wrong]
+    selected = [trial for scenario in wanted
+                for trial in islice(trials(cases, [scenario], args.seed), args.trials)]
+    if not selected:
+        raise InputError('none of these scenarios has a true pose; choose others')
+    rows = run_all({trial.name: trial for trial in selected}, partial(run_trial, config=config),
+                   output=Path(args.output) if args.output else None,
+                   about=about(cases, args.seed, config))
+    print('lost: in another minimum; near: the exposed area, far: the whole bone, RMS, mm; within '
+          '95 %: places whose\nerror is within its stated bound; bound: Cramer-Rao, of an exact '
+          'model\n')
+    for cells in [COLUMNS, *table(rows)]:
+        print(f'{cells[0]:<{WIDTHS[0]}}'
+              + ''.join(f'{cell:>{width}}' for cell, width in zip(cells[1:], WIDTHS[1:])))
+    return 0
