@@ -176,7 +176,7 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
         return None
     correlation = _residual_correlation(solution.weights, error.residuals, neighbours)
     return _confidence(solution, points, noise, correlation, error.sd,
-                       MODEL_FACTOR * (total - noise) + error.offset_covariance)
+                       MODEL_FACTOR * _excess(total, noise) + error.offset_covariance)
 
 
 def assess_at(solution: Solution, points: Array, field: Field,
@@ -284,6 +284,18 @@ def _covariance(solution: Solution, jacobian: Array, variance: float,
     scale = np.sqrt(np.diag(H))
     H_inverse = np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale)
     return np.asarray(variance * H_inverse @ ((J.T * w**2) @ J + score_covariance) @ H_inverse)
+
+
+def _excess(total: Array, noise: Array) -> Array:
+    """
+    Return the part of a covariance ``total`` (6, 6) above ``noise``, without negative variances.
+
+    Doubtful points may constrain a motion better once an error of the model is allowed for.
+    """
+    scale = np.sqrt(np.diag(noise))
+    values, vectors = np.linalg.eigh((total - noise) / np.outer(scale, scale))
+    vectors = scale[:, None] * vectors
+    return np.asarray((vectors * np.clip(values, 0.0, None)) @ vectors.T)
 
 
 def _has_full_rank(H: Array) -> bool:

@@ -16,7 +16,13 @@ from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
-from gsdf_registration.registration.confidence import Confidence, assess, assess_at, predicted_tre
+from gsdf_registration.registration.confidence import (
+    Confidence,
+    _excess,
+    assess,
+    assess_at,
+    predicted_tre,
+)
 from gsdf_registration.solver import Solution, nearest_neighbours, solve
 
 TRIALS = 200
@@ -190,3 +196,13 @@ def test_the_bound_at_a_target_scales_with_the_unit_of_length() -> None:
 
 def test_without_uncertainty_the_bound_at_a_target_is_zero() -> None:
     assert Confidence(np.zeros((6, 6)), np.zeros(3), 0.0, 1.0).p95(TARGETS) == pytest.approx(0.0)
+
+
+def test_an_error_of_the_model_never_makes_the_pose_more_certain() -> None:
+    rng = np.random.default_rng(0)
+    units = np.array([1e-3, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4])
+    noise, total = (units[:, None] * a @ a.T * units for a in rng.normal(size=(2, 6, 6)))
+    excess = _excess(total, noise)
+    assert np.linalg.eigvalsh(excess / np.outer(units, units)).min() > -1e-12
+    larger = noise + np.diag(units**2)
+    np.testing.assert_allclose(_excess(larger, noise), np.diag(units**2), atol=1e-18)
