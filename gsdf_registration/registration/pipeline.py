@@ -16,6 +16,7 @@ from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import (
     InputError,
+    Reason,
     Refusal,
     RegistrationResult,
     as_numbers,
@@ -97,12 +98,17 @@ def register(points: ArrayLike,
         guess = initial_guess(evidence.landmarks, T_tracker_bone)
         selection = select_points(points, config.collect.mode)
         check_selection(selection, points, field, config.limits)
+        answer: tuple[PointSelection, Candidate, Refusal | None] | None = None
         for used, candidate in find_candidates(selection, field, config, guess, evidence,
                                                cancelled=cancelled, progress=progress,
                                                history=history):
             refusal = next(rejection_reasons(candidate, used.positions, field, config), None)
+            if answer is None or not only_adds_interference(used, refusal, answer[0]):
+                answer = used, candidate, refusal
             if refusal is None:
                 break
+        assert answer is not None
+        used, candidate, refusal = answer
     except Refusal as error:
         return RegistrationResult.refused(error.reason, error.message, received=received)
     reason, message = verdict(candidate, refusal, used.positions, field, config)
@@ -189,6 +195,13 @@ def find_candidates(selection: PointSelection,
             if _fits(candidate, others, field, config):
                 yield selection, solve_from(selection, [candidate.solution.T_bone_tracker])
             yield attempt, candidate
+
+
+def only_adds_interference(used: PointSelection, refusal: Refusal | None,
+                           rests: PointSelection) -> bool:
+    """Return whether a refusal is due to points beside the ``rests`` that were tried before."""
+    return (refusal is not None and refusal.reason is Reason.TOO_FEW_INLIERS
+            and len(used.rows) > len(rests.rows))
 
 
 def _fits(candidate: Candidate, points: Array, field: Field, config: Config) -> bool:

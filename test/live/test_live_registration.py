@@ -296,7 +296,8 @@ def test_follows_touches_between_which_the_tip_moves_through_the_air(
         s = np.linspace(0.0, 1.0, 12)[:, None]
         path += [np.repeat(a[None], 24, axis=0), a + s * (b - a) + np.sin(np.pi * s) * lift]
     positions = np.concatenate(path) + 1.5e-4 * rng.normal(size=(45 * 36, 3))
-    live = LiveRegistration(hip, Config.from_flat({'collect.mode': mode}))
+    live = LiveRegistration(hip, Config.from_flat({'collect.mode': mode,
+                                                    'model.surface_error': 0.0}))
     steps = run(live, positions)
     last = steps[-1].assessment
     assert last is not None and last.pose is not None and live.ready

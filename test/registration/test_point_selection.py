@@ -206,6 +206,7 @@ def test_touches_are_used_without_the_air_between_but_with_the_strokes(strokes: 
     stream = np.concatenate([stream + 1e-4 * rng.normal(size=stream.shape),
                              touched_points(strokes, 2, 1e-4)])
     result = register(transform(T_TRACKER_BONE, stream), bone_field(),
+                      Config().replaced({'model.surface_error': 0.0}),
                       T_tracker_bone=T_TRACKER_BONE)
     assert result.success and result.T_tracker_bone is not None
     surface = bone_field().surface_points.astype(np.float64)
