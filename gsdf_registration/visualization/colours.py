@@ -20,6 +20,7 @@ ERROR = ('#ebe3d2', '#c5a5cf', '#86419c', '#531178')                # zero ... t
 UNUSED = '#8a8f94'      # points that are not inliers
 BORDER = '#1b1f24'      # of the zone
 NEXT = '#00a676'        # places to touch next
+ERROR_SCALE = 2.0       # end of the scale of the error, in limits: the border is in its middle
 
 
 def rgb(colour: str) -> Array:
@@ -41,7 +42,7 @@ def max_residual(limits: LimitsConfig) -> float:
 
 def max_error(limits: LimitsConfig) -> float:
     """Return the end of the scale of the error, m; the border of the zone is in its middle."""
-    return 2.0 * limits.max_error
+    return ERROR_SCALE * limits.max_error
 
 
 def error_colours(errors: Array, limits: LimitsConfig) -> Array:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
+import importlib.util
 import re
 import socket
 import threading
@@ -27,6 +28,13 @@ CHUNK = 65_536      # bytes
 REFUSED = (b'HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain; charset=utf-8\r\n'
            b'Connection: close\r\n\r\nOpen this page with ?token=SECRET at the end of the address, '
            b'as registration_console was started with --token SECRET.\n')
+
+
+def require_viser() -> None:
+    """Raise an `InputError` that says what to install if viser is missing."""
+    if importlib.util.find_spec('viser') is None:
+        raise InputError('the console needs viser, which is not installed: '
+                         "pip install 'gsdf_registration[console]'")
 
 
 def free_port() -> int:

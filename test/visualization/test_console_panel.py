@@ -21,13 +21,14 @@ REGISTERED = {
 
 def words(html: str) -> str:
     """Return what a reader sees of HTML, on one line."""
-    seen = re.sub(r'<style>.*?</style>', '', html)
-    return ' '.join(re.sub(r'<[^>]+>', ' ', seen).split())
+    return ' '.join(re.sub(r'<[^>]+>', ' ', html).split())
 
 
 def test_the_verdict_comes_in_words() -> None:
-    shown = words(console_panel.verdict(REGISTERED, 'pose found from 601 of 619 points'))
-    assert shown == 'Registered: grade B Pose found from 601 of 619 points'
+    shown = console_panel.verdict(REGISTERED, 'pose found from 601 of 619 points; start the tracker')
+    assert words(shown) == ('Registered: grade B Pose found from 601 of 619 points '
+                            'Start the tracker')
+    assert '<div class="hint">Start the tracker</div>' in shown
 
 
 @pytest.mark.parametrize(('state', 'headline'), [
@@ -35,6 +36,11 @@ def test_the_verdict_comes_in_words() -> None:
     ('no_model', 'No bone model'), ('solving', 'Registering')])
 def test_every_state_has_a_headline(state: str, headline: str) -> None:
     assert words(console_panel.verdict({'state': state})) == headline
+
+
+def test_a_bone_that_is_being_loaded_is_no_alarm() -> None:
+    loading = {'state': 'no_model', 'progress': '0.40'}
+    assert words(console_panel.verdict(loading)) == 'Loading the bone'
 
 
 def test_says_that_the_node_is_not_connected_and_that_a_pose_is_withdrawn() -> None:
@@ -49,7 +55,7 @@ def test_limits_stand_beside_values() -> None:
         'Error at cup (95 %) 1.2 of 2.0 mm Error around the touched area (95 %) 0.8 of 2.0 mm '
         'Error on the whole bone (95 %) 3.1 of 2.0 mm '
         'Scatter of the points (not the accuracy) 0.3 of 2.0 mm')
-    assert [style for style in re.findall(r'class="(good|warn)"', shown)] == [
+    assert [style for style in re.findall(r'class="value (good|warn)"', shown)] == [
         'good', 'good', 'warn', 'good']
 
 
@@ -75,6 +81,31 @@ def test_lists_strokes_by_number() -> None:
     (Tracker(0.0, 12.3), 'Probe not seen for 12 s')])
 def test_says_whether_the_probe_is_seen(tracker: Tracker, expected: str) -> None:
     assert words(console_panel.tracking(tracker)) == expected
+
+
+def test_names_the_place_to_touch_next() -> None:
+    shown = console_panel.tracking(Tracker(80.0, 0.01), {'touch_next': 'touch the rim'})
+    assert words(shown).endswith('samples per second Touch the rim')
+
+
+def test_verification_points_stand_beside_their_limit() -> None:
+    values = {'verification': 'worst 2.8 mm', 'verification_m.1': '0.000800',
+              'verification_m.2': '-0.002800'}
+    shown = console_panel.verification(values, Limits(verification=0.002))
+    assert words(shown) == 'Point 1 0.8 of 2.0 mm Point 2 2.8 of 2.0 mm Worst 2.8 mm'
+    assert re.findall(r'class="value (good|warn)"', shown) == ['good', 'warn']
+
+
+def test_the_legend_has_the_fixed_scales_with_the_border_in_the_middle() -> None:
+    shown = words(console_panel.legend(Limits(max_sigma=0.002, max_error=0.003)))
+    assert '0 3.0 mm, border 6.0 mm' in shown and '0 2.0 mm' in shown
+
+
+def test_buttons_that_toggle_say_what_they_do() -> None:
+    assert console_panel.labels({'collecting': 'true'})['collect'] == 'Pause'
+    assert console_panel.labels({'collecting': 'false'})['collect'] == 'New stroke'
+    running = console_panel.labels({'calibration': 'calibrate_tip'})
+    assert running['calibrate_tip'] == 'End calibration'
 
 
 def test_text_from_messages_is_not_html() -> None:

@@ -11,7 +11,14 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.visualization.web_access import COOKIE, Gate, check_request, free_port
+from gsdf_registration.visualization import web_access
+from gsdf_registration.visualization.web_access import (
+    COOKIE,
+    Gate,
+    check_request,
+    free_port,
+    require_viser,
+)
 
 TOKEN = 'correct-horse'
 
@@ -78,3 +85,9 @@ def test_a_token_that_a_cookie_cannot_hold_is_rejected(token: str) -> None:
 def test_an_address_in_use_is_reported(gate: Gate) -> None:
     with pytest.raises(InputError, match='cannot be served'):
         Gate('127.0.0.1', gate.port, TOKEN, free_port())
+
+
+def test_says_what_to_install_without_viser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(web_access.importlib.util, 'find_spec', lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'gsdf_registration\[console\]'"):
+        require_viser()
