@@ -153,8 +153,11 @@ def error_variances(x: Array, e: Array, J: Array, weight: Array, precision: Arra
     squares = (expected * SIZES)**2
     cells = _group(x, e, J, weight, precision, *COARSE)
     if cells is None or not cells.within > 0.0:
+        # too few to tell error and noise apart, but the error is not larger than the residuals
+        freedom = max(float(weight.sum()) - len(J[0]), 1.0)
+        p = PRIOR * (squares <= float((weight * (precision * e)**2).sum()) / freedom)
         share = np.full(len(LENGTHS), 1.0 / len(LENGTHS))
-        return ErrorVariances(expected, share * (PRIOR @ squares), 1.0 - PRIOR[0])
+        return ErrorVariances(expected, share * (p @ squares / p.sum()), 1.0 - p[0] / p.sum())
     scale = np.sqrt(np.maximum((cells.J**2).sum(axis=0), 1e-300))
     rows = np.concatenate([cells.J.T / scale[:, None], cells.root[None], cells.e[None]])
     probability = np.zeros((len(LENGTHS), len(SIZES)))
