@@ -1,30 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Read topics and serialized messages from the storage files of a rosbag2 recording.
+Find the storage files of a recording and read their messages in the order received.
 
-A recorder that was killed leaves no metadata.yaml and an mcap file without an index. Such a file is
-read from its start until it ends, and a note is added.
+The files are read without index and metadata: a recorder that was killed leaves neither. What
+cannot be read is reported with its place, see `BagFiles.notes`.
 """
 
 from __future__ import annotations
 
 import os
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
-from rosbags.rosbag2 import Reader
+import yaml
 
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
-from msg_adapters.files import describe_error
+from msg_adapters.mcap_file import read_mcap
+from msg_adapters.ros1_bag import read_ros1_bag
+from msg_adapters.sqlite_file import read_sqlite
+from msg_adapters.stored import (
+    Contents,
+    StoredMessage,
+    decompressed,
+    decompressed_pieces,
+    lz4_frame,
+    zstd,
+)
 
-STORAGES = ('.mcap', '.db3')
-MCAP_MAGIC = b'\x89MCAP0\r\n'
-T = TypeVar('T')
+READERS: dict[str, Callable[[Path, Collection[str] | None], Contents]] = {
+    '.mcap': read_mcap, '.db3': read_sqlite, '.bag': read_ros1_bag, '.active': read_ros1_bag}
+COMPRESSED = {'.zstd': zstd, '.zst': zstd, '.lz4': lz4_frame}       # whole files
+BLOCK = 1 << 20     # bytes of a compressed file that are read at once
 
 
 class Topic(NamedTuple):
@@ -44,116 +54,159 @@ class Raw(NamedTuple):
 
 
 class BagFiles:
-    """The parts of a bag that can be read: a directory with metadata, or storage files in order."""
+    """
+    The storage files of a recording.
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Find the parts of a bag, a directory or storage file; raise `InputError` without any."""
+    Parameters
+    ----------
+    path : path
+        A directory or a storage file.
+    types : collection of str, optional
+        Message types to keep; by default all. Those of the others are only counted.
+
+    Attributes
+    ----------
+    path : Path
+    notes : list of str
+        Sentences on what is damaged or missing, after the messages have been read.
+    complete : bool
+        Whether nothing is missing, after the messages have been read.
+    definitions : dict of str to str
+        Text of the definition of each type, where the files have it.
+
+    """
+
+    def __init__(self, path: str | os.PathLike[str], types: Collection[str] | None = None) -> None:
+        """Find the files of a bag, a directory or storage file; raise `InputError` without any."""
         self.path = Path(path)
         self.notes: list[str] = []
+        self.complete = True
+        self.definitions: dict[str, str] = {}
         if not self.path.exists():
             raise InputError(f'{path} does not exist')
         if self.path.is_file():
-            if self.path.suffix not in STORAGES:
-                raise InputError(
-                    f'{path} is not a bag; choose a rosbag2 directory, or its .mcap or .db3 file')
-            self.parts = [self.path]
-        elif (self.path / 'metadata.yaml').is_file():
+            if not _is_storage(self.path):
+                raise InputError(f'{path} is not a bag; choose a rosbag2 directory, its .mcap or '
+                                 '.db3 file, or a .bag file of ROS 1')
             self.parts = [self.path]
         else:
-            # the parts of a split bag are numbered without leading zeros
-            self.parts = sorted((file for file in self.path.iterdir() if file.suffix in STORAGES),
-                                key=lambda file: (len(file.name), file.name))
-            if not self.parts:
-                raise InputError(
-                    f'{path} is not a bag: it has neither metadata.yaml nor a .mcap or .db3 file')
-            self.notes.append(f'{path} has no metadata.yaml, probably because its recorder was '
-                              'killed; its storage files were read')
+            self.parts = self._parts_of_folder()
+        self._types = types
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._messages: list[Raw] | None = None
 
     def topics(self) -> list[Topic]:
         """Return the topics with their number of messages, sorted by name."""
-        counts: Counter[tuple[str, str]] = Counter()
-        for part in self.parts:
-            if _is_truncated(part):
-                counts.update((raw.topic, raw.msgtype) for raw in self._salvaged(part))
-            else:
-                counts.update(_guarded(part, _indexed_counts))
-        return sorted(Topic(name, msgtype, count) for (name, msgtype), count in counts.items())
+        self._read()
+        return sorted(Topic(name, msgtype, count)
+                      for (name, msgtype), count in self._counts.items())
 
     def messages(self, names: Collection[str]) -> list[Raw]:
-        """Return the messages of the topics ``names`` in the order they were received."""
-        found: list[Raw] = []
-        for part in self.parts:
-            if _is_truncated(part):
-                found += [raw for raw in self._salvaged(part) if raw.topic in names]
-            else:
-                found += _guarded(part, lambda file: _indexed(file, names))
-        return found
+        """
+        Return the messages of the topics ``names`` in the order they were received.
 
-    def _salvaged(self, part: Path) -> list[Raw]:
-        """Return the messages that can be read from a truncated mcap file, and add a note."""
-        found = _streamed(part)
-        if not found:
-            raise InputError(
-                f'{part} has no readable messages: its recorder was killed or the file is '
-                'truncated')
-        note = (
-            f'{part} has no index, probably because its recorder was killed or the file is '
-            f'truncated; {format_count(len(found), "message")} could be read')
+        Raises
+        ------
+        InputError
+            If no file can be read.
+
+        """
+        return [raw for raw in self._read() if raw.topic in names]
+
+    def _read(self) -> list[Raw]:
+        """Return all messages of the types; the files are read once."""
+        if self._messages is not None:
+            return self._messages
+        found, failures = list[StoredMessage](), list[InputError]()
+        for part in self.parts:
+            try:
+                contents = _contents(part, self._types)
+            except InputError as error:
+                failures.append(error)
+                continue
+            self._counts.update(contents.counts)
+            self.definitions |= contents.definitions
+            self._note(contents, part)
+            found += contents.messages
+        if len(failures) == len(self.parts):
+            raise failures[0]
+        for failure in failures:
+            self._add_note(failure.message)
+            self.complete = False
+        found.sort(key=lambda message: message.time)    # stable; a recorder may write in blocks
+        self._messages = [Raw(each.topic, each.msgtype, decompressed(each.data))
+                          for each in found]
+        return self._messages
+
+    def _note(self, contents: Contents, part: Path) -> None:
+        readable = format_count(sum(contents.counts.values()), 'message')
+        if not contents.complete:
+            self.complete = False
+            if not sum(contents.counts.values()):
+                raise InputError(f'{part} has no readable messages: {contents.defects[0]}')
+            for defect in contents.defects:
+                self._add_note(f'{defect}; {readable} could be read')
+
+    def _add_note(self, note: str) -> None:
         if note not in self.notes:
             self.notes.append(note)
-        return found
 
-
-def _guarded(part: Path, read: Callable[[Path], T]) -> T:
-    """Return ``read(part)``; raise `InputError` for any error of the libraries."""
-    try:
-        return read(part)
-    except Exception as error:  # damaged bytes can cause any exception, even OverflowError
-        hint = '; pass its storage file instead to read what is left' if part.is_dir() else ''
-        raise InputError(
-            f'{part} is damaged or truncated ({describe_error(error)}){hint}') from None
-
-
-def _indexed_counts(part: Path) -> dict[tuple[str, str], int]:
-    """Return (topic, type) -> number of messages of a complete bag or storage file."""
-    with Reader(part) as reader:
-        return {(c.topic, c.msgtype): c.msgcount for c in reader.connections}
-
-
-def _indexed(part: Path, names: Collection[str]) -> list[Raw]:
-    """Return the messages of a complete bag or storage file."""
-    with Reader(part) as reader:
-        wanted = [c for c in reader.connections if c.topic in names]
-        # without connections, rosbags returns all messages
-        return [Raw(c.topic, c.msgtype, data)
-                for c, _, data in reader.messages(wanted)] if wanted else []
-
-
-def _is_truncated(part: Path) -> bool:
-    """Return whether an mcap file has the magic number at its start but not at its end."""
-    if part.suffix != '.mcap':
-        return False
-    with part.open('rb') as file:
-        begins = file.read(len(MCAP_MAGIC)) == MCAP_MAGIC
-        file.seek(max(0, part.stat().st_size - len(MCAP_MAGIC)))
-        return begins and file.read() != MCAP_MAGIC
-
-
-def _streamed(part: Path) -> list[Raw]:
-    """Return the messages of an mcap file from its start until reading fails."""
-    found: list[Raw] = []
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
-    with part.open('rb') as file:
+    def _parts_of_folder(self) -> list[Path]:
+        """Return the storage files of a directory, in the order of its metadata."""
+        # the parts of a split bag are numbered without leading zeros
+        files = sorted((file for file in self.path.iterdir() if _is_storage(file)),
+                       key=lambda file: (len(file.name), file.name))
+        metadata = self.path / 'metadata.yaml'
+        if not files:
+            raise InputError(f'{self.path} is not a bag: it has no .mcap, .db3 or .bag file')
+        if not metadata.is_file():
+            if files[0].suffix not in ('.bag', '.active'):
+                self.notes.append(f'{self.path} has no metadata.yaml, probably because its '
+                                  'recorder was killed; its storage files were read')
+            return files
         try:
-            size = part.stat().st_size
-            for record in StreamReader(file, validate_crcs=True, record_size_limit=size).records:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record.name
-                elif isinstance(record, Channel):
-                    channels[record.id] = record.topic, schemas[record.schema_id]
-                elif isinstance(record, Message):
-                    found.append(Raw(*channels[record.channel_id], record.data))
-        except Exception:  # a truncated file can cause any exception
-            return found
-    return found
+            known = yaml.safe_load(metadata.read_text(encoding='utf-8'))
+            named = [self.path / Path(name).name for name in
+                     known['rosbag2_bagfile_information']['relative_file_paths']]
+        # noqa: BLE001 - damaged text can cause any exception
+        except Exception:
+            self.notes.append(f'{metadata} is damaged; the storage files beside it were read')
+            return files
+        found = {name: [file for file in files if file == name or file.stem == name.name]
+                 for name in named}
+        for name, matching in found.items():
+            if not matching:
+                self.complete = False
+                self.notes.append(f'{self.path} has no {name.name}, which its metadata.yaml names: '
+                                  'this part is missing')
+        return [file for matching in found.values() for file in matching[:1]] or files
+
+
+def _is_storage(file: Path) -> bool:
+    stem = file.with_suffix('') if file.suffix in COMPRESSED else file
+    return file.is_file() and stem.suffix in READERS
+
+
+def _contents(part: Path, types: Collection[str] | None) -> Contents:
+    """Return the messages of a file; one that is compressed is first decompressed."""
+    if part.suffix not in COMPRESSED:
+        return READERS[part.suffix](part, types)
+    inner = part.with_suffix('').name
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, inner)
+        defect = ''
+        with part.open('rb') as source, file.open('wb') as target:
+            blocks = iter(lambda: source.read(BLOCK), b'')
+            try:
+                target.writelines(decompressed_pieces(blocks, COMPRESSED[part.suffix]()))
+            # noqa: BLE001 - damaged bytes can cause any exception in the libraries
+            except Exception as error:
+                defect = f'{part} is damaged and was decompressed in part ({error})'
+        try:
+            contents = READERS[file.suffix](file, types)
+        except InputError as error:
+            raise InputError(error.message.replace(str(file), str(part))) from None
+    contents.defects = [each.replace(str(file), str(part)) for each in contents.defects]
+    if defect:
+        contents.miss(defect)
+    return contents

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write rosbag2 recordings of the probe tip and of the reference array, without ROS."""
+"""
+Write rosbag2 recordings (mcap), without ROS.
+
+Each chunk names its topics and carries a checksum, so what a recorder that was killed has written
+can be read, and damage is found, see `mcap_file`.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +16,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import StoragePlugin, Writer
+import yaml
+from mcap.writer import CompressionType, Writer
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
@@ -22,38 +27,88 @@ from msg_adapters.bag import POINT, POSE, TYPES
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+CHUNK = 1 << 20     # bytes
+
 
 class BagWriter:
     """
-    A context manager that writes PointStamped and PoseStamped messages to a new rosbag2 (mcap).
+    A context manager that writes messages to a new rosbag2 (mcap).
 
     Equal calls write equal bytes. If the block raises an exception, the bag is removed.
+
+    Parameters
+    ----------
+    path : path
+    keep : bool
+        Whether to complete the bag instead after an exception.
+
+    Attributes
+    ----------
+    counts : dict of str to int
+        Number of messages written to each topic.
+
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], keep: bool = False) -> None:
         """Prepare a bag at ``path``; raise `InputError` if the path exists."""
         self.path = Path(path)
         if self.path.exists():
             raise InputError(f'{path} exists already; remove it or choose another path')
-        self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._connections: dict[str, Connection] = {}
+        self.counts: dict[str, int] = {}
+        self._keep = keep
+        self._types: dict[str, str] = {}        # of each topic
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._first, self._last = 0, 0          # times of reception, ns
 
     def __enter__(self) -> Self:
         """Create the directory."""
         try:
-            self._writer.open()
+            self.path.mkdir(parents=True)
+            self._file = (self.path / f'{self.path.name}.mcap').open('wb')
         except OSError as error:
             raise InputError(f'{self.path} cannot be written: {error.strerror}') from None
+        self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD)
+        self._writer.start(profile='ros2', library='gsdf_registration')
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         """Write index and metadata, or remove the bag after an exception."""
-        if kind is None:
-            self._writer.close()
-        else:
-            self._writer.abort()
+        if kind is not None and not self._keep:
+            self._file.close()
             shutil.rmtree(self.path)
+            return
+        self._writer.finish()
+        self._file.close()
+        (self.path / 'metadata.yaml').write_text(
+            yaml.safe_dump({'rosbag2_bagfile_information': self._metadata()}, sort_keys=False),
+            encoding='utf-8')
+
+    def flush(self) -> None:
+        """Write all messages so far to the disk: they stay whatever happens to the program."""
+        self._writer.flush()
+        os.fsync(self._file.fileno())
+
+    def add_topic(self, topic: str, msgtype: str, definition: str = '') -> None:
+        """Announce a topic; ``definition``: of its type, if that is no standard message."""
+        if not definition:
+            definition = TYPES.generate_msgdef(msgtype, ros_version=2)[0]
+        if msgtype not in self._schemas:
+            self._schemas[msgtype] = self._writer.register_schema(
+                msgtype, 'ros2msg', definition.encode())
+        self._types[topic], self.counts[topic] = msgtype, 0
+        self._channels[topic] = self._writer.register_channel(
+            topic, 'cdr', self._schemas[msgtype], {'offered_qos_profiles': ''})
+
+    def write(self, topic: str, received: int, data: bytes) -> None:
+        """Append a serialized message (CDR) of an announced topic, ``received`` at this ns."""
+        if not any(self.counts.values()):
+            self._first = self._last = received
+        self._first, self._last = min(self._first, received), max(self._last, received)
+        self._writer.add_message(self._channels[topic], received, data, received,
+                                 self.counts[topic])
+        self.counts[topic] += 1
 
     def write_point(self,
                     topic: str,
@@ -81,21 +136,44 @@ class BagWriter:
         self._write(topic, POINT, _point(position), stamp, frame_id, received)
 
     def write_pose(self, topic: str, stamp: float, T: Array, frame_id: str,
-                   received: float | None = None) -> None:
-        """Append a pose ``T`` (4, 4), m, in ``frame_id``; see `write_point`."""
-        rotation = TYPES.types['geometry_msgs/msg/Quaternion'](*quaternion_from_rotation(T[:3, :3]))
+                   received: float | None = None, digits: int = 15) -> None:
+        """
+        Append a pose ``T`` (4, 4), m, in ``frame_id``; see `write_point`.
+
+        ``digits``: to which the quaternion is rounded.
+        """
+        quaternion = quaternion_from_rotation(T[:3, :3]).round(digits)
+        rotation = TYPES.types['geometry_msgs/msg/Quaternion'](*quaternion.tolist())
         pose = TYPES.types['geometry_msgs/msg/Pose'](_point(T[:3, 3]), rotation)
         self._write(topic, POSE, pose, stamp, frame_id, received)
 
     def _write(self, topic: str, msgtype: str, body: Any, stamp: float, frame_id: str,
                received: float | None) -> None:
         """Append a message that consists of a header and ``body``."""
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=TYPES)
+        if topic not in self._channels:
+            self.add_topic(topic, msgtype)
         time = stamps.to_nanoseconds(stamp)
         message = TYPES.types[msgtype](_header(time, frame_id), body)
         logged = time if received is None else stamps.to_nanoseconds(received)
-        self._writer.write(self._connections[topic], logged, TYPES.serialize_cdr(message, msgtype))
+        self.write(topic, logged, bytes(TYPES.serialize_cdr(message, msgtype)))
+
+    def _metadata(self) -> dict[str, Any]:
+        """Return what rosbag2 writes to metadata.yaml, version 9."""
+        file = f'{self.path.name}.mcap'
+        start = {'nanoseconds_since_epoch': self._first}
+        duration = {'nanoseconds': self._last - self._first}
+        total = sum(self.counts.values())
+        return {
+            'version': 9, 'storage_identifier': 'mcap', 'duration': duration,
+            'starting_time': start, 'message_count': total,
+            'topics_with_message_count': [
+                {'topic_metadata': {'name': topic, 'type': kind, 'serialization_format': 'cdr',
+                                    'offered_qos_profiles': [], 'type_description_hash': ''},
+                 'message_count': self.counts[topic]} for topic, kind in self._types.items()],
+            'compression_format': '', 'compression_mode': '', 'relative_file_paths': [file],
+            'files': [{'path': file, 'starting_time': start, 'duration': duration,
+                       'message_count': total}],
+            'custom_data': None, 'ros_distro': 'gsdf_registration'}
 
 
 def _header(nanoseconds: int, frame_id: str) -> Any:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gsdf_registration.common.operator_event import OperatorEvent
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.tool_pose import is_valid, normalized, tip_position
@@ -35,6 +36,19 @@ class RecordedTransform(NamedTuple):
     fixed: bool = False
 
 
+class RecordedEvent(NamedTuple):
+    """
+    What an operator did, and when.
+
+    after, transforms : int, number of points and of transforms received before it
+    event : OperatorEvent
+    """
+
+    after: int
+    transforms: int
+    event: OperatorEvent
+
+
 @dataclass(eq=False)
 class Recording:
     """
@@ -53,6 +67,8 @@ class Recording:
     transforms : of the reference array and of /tf, in the order received
     dropped : dict, number of samples that the source marks as invalid, by cause
     notes : sentences on defects of the source that could be read anyway
+    complete : bool, whether nothing of the source is missing or damaged
+    events : what the operator did, in order
     """
 
     positions: Array
@@ -66,6 +82,8 @@ class Recording:
     transforms: Sequence[RecordedTransform] = ()
     dropped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    complete: bool = True
+    events: Sequence[RecordedEvent] = ()
 
     def __post_init__(self) -> None:
         """Convert all fields to arrays of equal length; raise `ValueError` if they are invalid."""
@@ -153,7 +171,8 @@ def merge(recordings: Sequence[Recording]) -> Recording:
         quality=_joined_quality(recordings), strokes=_joined_strokes(recordings),
         tools=_joined_tools(recordings),
         dropped=dict(sum((Counter(r.dropped) for r in recordings), Counter())),
-        notes=tuple(note for r in recordings for note in r.notes))
+        notes=tuple(note for r in recordings for note in r.notes),
+        complete=all(r.complete for r in recordings))
     order = np.arange(len(merged))
     if stamps:
         latest_seen = np.concatenate([np.maximum.accumulate(s) for s in stamps])

@@ -118,7 +118,7 @@ def _from_ndi(path: str | os.PathLike[str], wanted: str | None) -> ToolPoses:
 
 
 def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> ToolPoses:
-    bag = BagFiles(path)
+    bag = BagFiles(path, TOOL_POSES)
     topic = _chosen_topic(bag.path, bag.topics(), wanted)
     times, positions, quaternions = [], [], []
     for i, raw in enumerate(bag.messages([topic.name])):

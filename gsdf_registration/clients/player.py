@@ -55,9 +55,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _play(options: argparse.Namespace) -> int:
-    messages = [
-        raw.data for raw in BagFiles(options.bag).messages([options.topic]) if raw.msgtype == POINT
-    ]
+    messages = [raw.data for raw in BagFiles(options.bag, [POINT]).messages([options.topic])]
     if not messages:
         raise InputError(f'{options.bag} contains no points on {options.topic}')
     reliability = (ReliabilityPolicy.BEST_EFFORT
