@@ -246,15 +246,17 @@ def test_the_prior_probabilities_add_up() -> None:
     assert PRIOR.sum() == pytest.approx(1.0) and PRIOR[0] == EXACT and (PRIOR > 0.0).all()
 
 
-def test_few_points_have_the_expected_error() -> None:
+def test_few_points_have_the_expected_error_but_none_above_their_residuals() -> None:
     few = measured(0, n=60)
     for expected in (EXPECTED, 2.0 * EXPECTED):
-        error = allowed_for(solved(few), few, expected).model_error
-        sizes = error_variances(few, np.zeros(60), np.zeros((60, 6)), np.ones(60), np.ones(60),
-                                expected)
-        assert error is not None and sizes.found == 1.0 - EXACT
-        assert np.sqrt(sizes.local.sum()) == pytest.approx(
+        assert allowed_for(solved(few), few, expected).model_error is not None
+        large, small = (error_variances(
+            few, np.full(60, share * expected), np.zeros((60, 6)), np.ones(60), np.ones(60),
+            expected) for share in (6.0, 0.3))
+        assert large.found == pytest.approx(1.0 - EXACT)
+        assert np.sqrt(large.local.sum()) == pytest.approx(
             expected * np.sqrt(PRIOR @ SIZES**2))
+        assert np.sqrt(small.local.sum()) < 0.32 * expected and small.found < 1.0 - EXACT
 
 
 def test_an_exact_model_and_the_published_method_are_unchanged() -> None:
