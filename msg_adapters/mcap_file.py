@@ -169,12 +169,12 @@ class _Reader:
 
 def _decompressed(data: bytes, compression: str, cut: bool) -> bytes:
     """Return the records of a chunk; of one that is ``cut``, those before the cut."""
-    pieces = []
+    records = bytearray()
     try:
         for piece in decompressed_pieces(iter([data]), DECOMPRESSORS[compression]()):
-            pieces.append(piece)
+            records += piece
     # noqa: BLE001 - damaged bytes can cause any exception in the libraries
     except Exception as error:
         if not cut:
             raise _Damaged(f'it cannot be decompressed ({error})') from None
-    return b''.join(pieces)
+    return bytes(records)

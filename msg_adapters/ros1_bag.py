@@ -84,13 +84,13 @@ class _Reader:
         decompress: Callable[[bytes], bytes] = {
             b'none': bytes, b'bz2': bz2.BZ2Decompressor().decompress, b'lz4': lz4_frame()
         }[fields[b'compression']]
-        pieces = []
+        found = bytearray()
         try:
             for piece in decompressed_pieces(iter([data]), decompress):
-                pieces.append(piece)
+                found += piece
         except EOFError:
             pass
-        records, place = b''.join(pieces), 0
+        records, place = bytes(found), 0
         while place + LENGTH.size <= len(records):
             begin = place + LENGTH.size
             end = begin + LENGTH.unpack_from(records, place)[0]

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from functools import partial
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
@@ -67,16 +69,27 @@ class Calibrations:
         The detail of the answer is then the `FixedPoint`.  The session does not use it until
         ``probe.tip`` is set, see `Session.configure`.
         """
-        running = self._begin_or_end(CalibrationKind.TIP)
-        if isinstance(running, Answer):
-            return running
-        return answer_of(running.solve(self._state.config.gate.max_age), 'the tool')
+        return _completed(self.begin_or_end(CalibrationKind.TIP))
 
     def find_joint_centre(self) -> Answer:
         """Start to search for the centre of a joint; the next call ends it and takes a moment."""
-        running = self._begin_or_end(CalibrationKind.JOINT_CENTRE)
+        return _completed(self.begin_or_end(CalibrationKind.JOINT_CENTRE))
+
+    def begin_or_end(self, kind: CalibrationKind) -> Answer | Callable[[], Answer]:
+        """
+        Start a calibration and return the answer, or end the one that runs.
+
+        After the end a function is returned that takes a moment to find the answer.
+        """
+        running = self._begin_or_end(kind)
         if isinstance(running, Answer):
             return running
+        return partial(self._tip if kind is CalibrationKind.TIP else self._joint_centre, running)
+
+    def _tip(self, running: Calibration) -> Answer:
+        return answer_of(running.solve(self._state.config.gate.max_age), 'the tool')
+
+    def _joint_centre(self, running: Calibration) -> Answer:
         found = running.solve(self._state.config.gate.max_age)
         with self._lock:
             config = self._state.config
@@ -117,6 +130,10 @@ class Calibrations:
             if self._running is not None:
                 self._running = None
                 self._notices.set(f'the calibration is cancelled: {reason}', warning=True)
+
+
+def _completed(answer: Answer | Callable[[], Answer]) -> Answer:
+    return answer if isinstance(answer, Answer) else answer()
 
 
 def _why_no_joint_centre(config: Config) -> str:

@@ -232,6 +232,19 @@ class Session:
             Returns whether to cancel; receives the share that is done.
 
         """
+        job = self.start_registration(landmarks, T_tracker_bone, cancelled, progress)
+        return job if isinstance(job, RegistrationResult) else job()
+
+    def start_registration(self, landmarks: Landmarks | None = None,
+                           T_tracker_bone: Array | None = None,
+                           cancelled: Callable[[], bool] | None = None,
+                           progress: Callable[[float], None] | None = None
+                           ) -> RegistrationResult | Callable[[], RegistrationResult]:
+        """
+        Return a function that registers the points of this moment; it must be called.
+
+        If the request is refused at once, the refusal is returned.  Arguments as in `register`.
+        """
         state = self._state
         with self._lock:
             if self._solving:
@@ -252,34 +265,37 @@ class Session:
             air = state.air_positions()
             unused = state.unused_initial_pose
             self._solving = True
-        try:
-            result = register(points.positions,
-                              field,
-                              config,
-                              landmarks=landmarks,
-                              air=air(),
-                              T_tracker_bone=T_tracker_bone,
-                              progress=progress,
-                              cancelled=lambda: self._generation != generation or
-                              (cancelled is not None and cancelled()))
-        except BaseException:
-            self._solving = False
-            raise
-        with self._lock:
-            self._solving = False
-            if self._generation != generation:
-                return RegistrationResult.refused(
-                    Reason.NOT_CONVERGED,
-                    'points were dropped or the model changed meanwhile; register again')
-            result = dataclasses.replace(result, received=received)
-            if result.success:
-                result = state.accept(AcceptedRegistration(result, points, serials, frame_id))
-            else:
-                state.refuse(result)
-            self._notices.on_registration()
-            if unused:
-                self._notices.set(unused, warning=True)
-            return result
+
+        def job() -> RegistrationResult:
+            try:
+                result = register(points.positions,
+                                  field,
+                                  config,
+                                  landmarks=landmarks,
+                                  air=air(),
+                                  T_tracker_bone=T_tracker_bone,
+                                  progress=progress,
+                                  cancelled=lambda: self._generation != generation or
+                                  (cancelled is not None and cancelled()))
+            except BaseException:
+                self._solving = False
+                raise
+            with self._lock:
+                self._solving = False
+                if self._generation != generation:
+                    return RegistrationResult.refused(
+                        Reason.NOT_CONVERGED,
+                        'points were dropped or the model changed meanwhile; register again')
+                result = dataclasses.replace(result, received=received)
+                if result.success:
+                    result = state.accept(AcceptedRegistration(result, points, serials, frame_id))
+                else:
+                    state.refuse(result)
+                self._notices.on_registration()
+                if unused:
+                    self._notices.set(unused, warning=True)
+                return result
+        return job
 
     def verify(self, now: float | None = None) -> Answer:
         """
@@ -337,6 +353,12 @@ class Session:
         """Whether points are being collected."""
         with self._lock:
             return self._state.collection.collecting
+
+    @property
+    def kept(self) -> int:
+        """Number of points collected so far."""
+        with self._lock:
+            return len(self._state.collection)
 
     @property
     def solving(self) -> bool:
