@@ -41,6 +41,8 @@ class BagWriter:
     path : path
     keep : bool
         Whether to complete the bag instead after an exception.
+    compressed : bool
+        Whether to compress the chunks; the bytes then depend on the version of zstd.
 
     Attributes
     ----------
@@ -49,13 +51,15 @@ class BagWriter:
 
     """
 
-    def __init__(self, path: str | os.PathLike[str], keep: bool = False) -> None:
+    def __init__(self, path: str | os.PathLike[str], keep: bool = False,
+                 compressed: bool = True) -> None:
         """Prepare a bag at ``path``; raise `InputError` if the path exists."""
         self.path = Path(path)
         if self.path.exists():
             raise InputError(f'{path} exists already; remove it or choose another path')
         self.counts: dict[str, int] = {}
         self._keep = keep
+        self._compression = CompressionType.ZSTD if compressed else CompressionType.NONE
         self._types: dict[str, str] = {}        # of each topic
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -68,7 +72,7 @@ class BagWriter:
             self._file = (self.path / f'{self.path.name}.mcap').open('wb')
         except OSError as error:
             raise InputError(f'{self.path} cannot be written: {error.strerror}') from None
-        self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD)
+        self._writer = Writer(self._file, chunk_size=CHUNK, compression=self._compression)
         self._writer.start(profile='ros2', library='gsdf_registration')
         return self
 
@@ -171,7 +175,8 @@ class BagWriter:
                                     'offered_qos_profiles': [], 'type_description_hash': ''},
                  'message_count': self.counts[topic]} for topic, kind in self._types.items()],
             'compression_format': '', 'compression_mode': '', 'relative_file_paths': [file],
-            'files': [{'path': file, 'starting_time': start, 'duration': duration,
+            # copies: YAML would refer to the same object by an anchor
+            'files': [{'path': file, 'starting_time': dict(start), 'duration': dict(duration),
                        'message_count': total}],
             'custom_data': None, 'ros_distro': 'gsdf_registration'}
 

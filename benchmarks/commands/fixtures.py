@@ -14,12 +14,18 @@ from gsdf_registration.common.command_line import example
 from gsdf_registration.common.result import InputError
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
-# bag: bone and arguments of gsdf simulate, see also bags/README.md
+ALL, PROXIMAL, DISTAL = slice(None), slice(0, 3), slice(3, None)
+# bag: bone, its landmarks, and arguments of gsdf simulate, see also bags/README.md
 RECORDINGS = {
-    'hip_optical': ('hip', '--region acetabulum --points 600 --rate 80 --speed 40 --sigma 0.15 '
-                    '--outliers 0.02 --interference lift_off:0.03 --dropouts 0.02 --seed 4'),
-    'femur_em': ('femur', '--region proximal_femur --points 1000 --rate 40 --speed 20 --sigma 0.4 '
-                 '--outliers 0.01 --interference lift_off:0.02 --seed 3'),
+    'hip_optical': ('hip', ALL, '--region acetabulum --points 600 --rate 80 --speed 40 '
+                    '--sigma 0.15 --outliers 0.02 --interference lift_off:0.03 --dropouts 0.02 '
+                    '--seed 4'),
+    'femur_em': ('femur', PROXIMAL, '--region proximal_femur --points 1000 --rate 40 --speed 20 '
+                 '--sigma 0.4 --outliers 0.01 --interference lift_off:0.02 --seed 3'),
+    'femur_tool': ('femur', DISTAL, '--region condyles --tool-poses --points 600 --rate 40 '
+                   '--speed 28 --unsteadiness 0.6 --stroke 80 --pause 1.3,2.6 --sigma 0.15 '
+                   '--outliers 0.005 --dropouts 0.03 --gaps 3 --tip-radius 1 --pivoting 12 '
+                   '--swinging 15 --move 20,5 --seed 5'),
 }
 
 
@@ -50,10 +56,10 @@ def run(args: argparse.Namespace) -> int:
         mesh = bone_mesh(name)
         landmarks[name] = bone_landmarks(name, mesh)
         mesh.export(directory / f'{name}.ply', vertex_normal=False)
-    for bag, (name, arguments) in RECORDINGS.items():
+    for bag, (name, touched, arguments) in RECORDINGS.items():
         shutil.rmtree(directory / bag, ignore_errors=True)
         options = [f'--landmark={mark}=' + ','.join(f'{value:.2f}' for value in place)
-                   for mark, place in landmarks[name].items()]
+                   for mark, place in list(landmarks[name].items())[touched]]
         command = [sys.executable, '-m', 'gsdf_registration', 'simulate',
                    str(directory / f'{name}.ply'), *arguments.split(), *options,
                    '-o', str(directory / bag)]

@@ -66,6 +66,11 @@ class BallContact:
         best = order[np.append(np.flatnonzero(np.diff(row[order])), len(order) - 1)]
         return (np.copysign(np.sqrt(squared[best]), height[best]), closest[best], triangle[best])
 
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Return signed distances (n,), m, and outward normals (n, 3) of the nearest triangles."""
+        distances, _, triangles = self.nearest(points)
+        return distances, self._normals[triangles]
+
     def centres(self, touched: Array, radius: float, approach: Array) -> Array:
         """
         Return the centres of a ball that is pressed towards points of the surface.

@@ -25,7 +25,10 @@ HEAD_RADIUS = 23.5
 BOX = ((-60.0, -55.0, -12.0), (80.0, 50.0, 446.0))
 LANDMARKS = {'greater_trochanter_tip': (50.0, -14.0, 412.0),
              'lesser_trochanter': (14.0, -24.0, 346.0),
-             'anterior_neck_base': (26.0, 22.0, 378.0)}
+             'anterior_neck_base': (26.0, 22.0, 378.0),
+             'medial_epicondyle': (-40.0, -4.0, 30.0),
+             'lateral_epicondyle': (38.0, -2.0, 32.0),
+             'top_of_trochlea': (2.0, 30.0, 52.0)}
 
 
 def solid(p: Points) -> Array:

@@ -102,7 +102,7 @@ class PivotRecording:
 def pivoting(rng: np.random.Generator, seconds: float = 20.0, rate: float = 40.0, *,
              turning: Turning = Turning(), noise: PoseNoise = PoseNoise(),
              faults: PoseFaults = PoseFaults(), tip: ArrayLike = TIP,
-             pivot: ArrayLike = PIVOT_PLACE) -> PivotRecording:
+             pivot: ArrayLike = PIVOT_PLACE, mean: ArrayLike | None = None) -> PivotRecording:
     """
     Simulate a tool that is turned with its tip in a divot.
 
@@ -115,6 +115,7 @@ def pivoting(rng: np.random.Generator, seconds: float = 20.0, rate: float = 40.0
     faults : PoseFaults
     tip : (3,) m, tool frame
     pivot : (3,) m, tracker frame
+    mean : (3, 3), mean orientation of the body in the tracker frame; None: random
 
     Returns
     -------
@@ -124,8 +125,10 @@ def pivoting(rng: np.random.Generator, seconds: float = 20.0, rate: float = 40.0
     n = max(round(seconds * rate), 1)
     stamps = np.arange(n) / rate
     point, centre = np.array(tip, dtype=np.float64), np.array(pivot, dtype=np.float64)
-    mean = Rotation.random(random_state=np.random.RandomState(rng.integers(2**31)))
-    turns = mean * _turns(stamps, turning, rng)
+    middle = Rotation.random(random_state=np.random.RandomState(rng.integers(2**31)))
+    if mean is not None:
+        middle = Rotation.from_matrix(mean)
+    turns = middle * _turns(stamps, turning, rng)
     kinds = np.full(n, PoseKind.IN_PLACE, dtype=np.uint8)
     centres = np.tile(centre, (n, 1))
     for time, displacement in faults.slips:
@@ -148,7 +151,8 @@ def pivoting(rng: np.random.Generator, seconds: float = 20.0, rate: float = 40.0
 def leg_swing(rng: np.random.Generator, seconds: float = 30.0, rate: float = 30.0, *,
               turning: Turning = LEG,
               noise: PoseNoise = PoseNoise(wander=0.0015), faults: PoseFaults = PoseFaults(),
-              hip_centre: ArrayLike = HIP_CENTRE, place: ArrayLike = HIP_PLACE) -> PivotRecording:
+              hip_centre: ArrayLike = HIP_CENTRE, place: ArrayLike = HIP_PLACE,
+              mean: ArrayLike | None = None) -> PivotRecording:
     """
     Simulate a leg that swings about its hip, whose centre moves slowly by 1.5 mm per axis (SD).
 
@@ -156,7 +160,7 @@ def leg_swing(rng: np.random.Generator, seconds: float = 30.0, rate: float = 30.
     femur, ``place`` in the tracker frame.
     """
     return pivoting(rng, seconds, rate, turning=turning, noise=noise, faults=faults, tip=hip_centre,
-                    pivot=place)
+                    pivot=place, mean=mean)
 
 
 def _turns(stamps: Array, turning: Turning, rng: np.random.Generator) -> Rotation:

@@ -48,6 +48,11 @@ def named_patch(region: str,
     return exposed_patch(vertices, faces, centre, radius or RADIUS[region], approach)
 
 
+def femoral_head(vertices: Array, faces: np.ndarray) -> Array:
+    """Return the centre (3,), m, of the head of a femur; raise `InputError` if it has none."""
+    return _sphere(trimesh.Trimesh(vertices, faces, process=False), hollow=False)[0]
+
+
 def _acetabulum(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
     """Return the centre of the cup and the direction in which it opens."""
     centre, radius, normals = _sphere(mesh, hollow=True)

@@ -19,6 +19,7 @@ WAVES = 200             # random Fourier features that approximate a Gaussian pr
 CARTILAGE = 0.0008      # m, thickness
 CARTILAGE_EDGE = 0.004  # m, over which cartilage becomes thin
 COVERED = (0.3, 0.6)    # smallest and largest share of the touched area with cartilage
+TISSUE_LENGTH = 0.010   # m, over which the thickness of soft tissue is correlated
 TILT = 0.3              # rad, standard deviation of the tilt of a tool about each axis
 SPIN = 0.5              # rad, standard deviation of its rotation about its own axis
 MEMORY = 100.0          # samples over which the orientation of a tool is correlated
@@ -48,6 +49,15 @@ def cartilage(places: Array, rng: np.random.Generator) -> Array:
     away = np.linalg.norm(places - places[rng.integers(len(places))], axis=1)
     radius = np.quantile(away, rng.uniform(*COVERED))
     return np.asarray(CARTILAGE * np.clip((radius - away) / CARTILAGE_EDGE, 0.0, 1.0))
+
+
+def soft_tissue(places: Array, thickness: float, rng: np.random.Generator) -> Array:
+    """
+    Return the thickness of soft tissue (n,), m, under the tip at ``places`` (n, 3), m.
+
+    It varies smoothly about ``thickness``, m, with half of it as standard deviation.
+    """
+    return np.maximum(thickness + smooth_error(places, 0.5 * thickness, TISSUE_LENGTH, rng), 0.0)
 
 
 def tip_error(count: int, size: float, approach: Array, rng: np.random.Generator) -> Array:

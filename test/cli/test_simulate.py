@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from gsdf_registration.cli.main import main
-from gsdf_registration.cli.simulate import ARRAY_FRAME, ARRAY_TOPIC, REGIONS, STRUCTURED
+from gsdf_registration.cli.simulate import ARRAY_TOPIC, REGIONS
+from gsdf_registration.cli.simulation_options import ARRAY_FRAME, STRUCTURED
 from gsdf_registration.common.rigid import inverse, transform
 from gsdf_registration.simulation.interference import Interference
 from gsdf_registration.simulation.regions import RADIUS
