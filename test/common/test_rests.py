@@ -54,7 +54,7 @@ def test_a_rest_within_a_drag_is_found_with_its_place_and_noise(sigma: float) ->
     moved = find_rests(rigid.transform(MOTION, noisy))
     np.testing.assert_array_equal(moved.which, rests.which)
     np.testing.assert_allclose(moved.positions, rigid.transform(MOTION, rests.positions),
-                               atol=2e-4)
+                               atol=1e-9)
 
 
 def test_a_rest_with_outliers_or_beside_another_probe_is_one_rest() -> None:

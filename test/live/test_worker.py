@@ -14,7 +14,7 @@ import pytest
 from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.landmarks import Landmarks
+from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import Cancelled
 from gsdf_registration.common.rigid import transform
 from gsdf_registration.common.samples import Points, Sample
@@ -201,9 +201,9 @@ def test_uses_changed_settings(recorder: Recorder, session: Session, worker: Liv
 
 def test_searches_around_the_initial_pose_first(recorder: Recorder, session: Session,
                                                 worker: LiveWorker) -> None:
-    assert worker._guess() is None
+    assert worker._guess(NO_LANDMARKS) is None
     assert session.set_initial_pose(T_TRACKER_BONE).success
-    guess = worker._guess()
+    guess = worker._guess(NO_LANDMARKS)
     assert guess is not None and np.allclose(guess @ T_TRACKER_BONE, np.eye(4))
 
 
