@@ -16,8 +16,17 @@ from gsdf_registration.field import Field
 from gsdf_registration.solver import gauss_newton
 from gsdf_registration.solver.bias_correction import bias_correction, unbiased_rows
 from gsdf_registration.solver.centroid_frame import from_centroid_frame, to_centroid_frame
-from gsdf_registration.solver.mixture import INTERFERENCE_RANGE, expectation_maximization
-from gsdf_registration.solver.model_error import Allowance, error_variances
+from gsdf_registration.solver.mixture import (
+    INTERFERENCE_RANGE,
+    expectation_maximization,
+    weights_with_error,
+)
+from gsdf_registration.solver.model_error import (
+    FOUND,
+    Allowance,
+    ErrorVariances,
+    error_variances,
+)
 from gsdf_registration.solver.neighbourhood import nearest_neighbours
 from gsdf_registration.solver.paper import (
     DISCARD_BELOW,
@@ -131,13 +140,16 @@ def allow_for_model_error(solution: Solution, points: Array, field: Field,
 
     """
     weight, precision, estimates = solution.weights, solution.precision, solution.estimates
-    e, J = solution.residuals.copy(), solution.jacobian.copy()
+    e, J, curvature = solution.residuals.copy(), solution.jacobian.copy(), solution.curvature
     x = rigid.transform(solution.T_bone_tracker, points)
     if estimates is None or not surface_error:
         return solution
     centred, centroid, R, t = _to_centroid_frame(points, solution.T_bone_tracker)
     try:
         sizes = error_variances(x, e, J, weight, precision, surface_error)
+        if sizes.found > FOUND:
+            weight, curvature = _weights_with_error(solution, points, field, sizes)
+            sizes = error_variances(x, e, J, weight, precision, surface_error)
         allowance = Allowance(sizes, x, e, J, weight, precision, estimates.noise)
         for step in range(MODEL_ERROR_STEPS):
             if step:
@@ -147,9 +159,24 @@ def allow_for_model_error(solution: Solution, points: Array, field: Field,
     except np.linalg.LinAlgError:
         return solution     # too few points, or they do not constrain the pose
     T = _pose(centroid, R, t)
-    return replace(solution, T_bone_tracker=T, residuals=e + J @ error.step, jacobian=J,
+    return replace(solution, T_bone_tracker=T, weights=weight, residuals=e + J @ error.step,
+                   jacobian=J, curvature=curvature,
                    correction=T @ rigid.inverse(solution.T_bone_tracker) @ solution.correction,
                    model_error=error._replace(residuals=solution.residuals))
+
+
+def _weights_with_error(solution: Solution, points: Array, field: Field,
+                        sizes: ErrorVariances) -> tuple[Array, Array]:
+    """Return weights and observed information of all points; those of touches stay."""
+    strokes, estimates = len(points) - len(solution.touches), solution.estimates
+    assert estimates is not None
+    neighbours = nearest_neighbours(before(solution.touches, points), field,
+                                    solution.T_bone_tracker)
+    found = weights_with_error(solution.residuals[:strokes], neighbours, estimates.noise,
+                               estimates.inlier_ratio, float(np.sqrt(sizes.local.sum())))
+    weight, curvature = (np.concatenate([new, old[strokes:]]) for new, old in zip(
+        found, (solution.weights, solution.curvature)))
+    return weight, curvature
 
 
 def _mixture(points: Array,

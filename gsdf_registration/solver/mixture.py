@@ -267,6 +267,33 @@ def _odds_at_zero(inlier_ratio, local_sd, thickness):
     return odds - math.log(1.0 - OUTSIDE_SHARE), odds - math.log(OUTSIDE_SHARE)
 
 
+def weights_with_error(e: Array, neighbours: NDArray[np.int64], noise: float, inlier_ratio: float,
+                       error_sd: float) -> tuple[Array, Array]:
+    """
+    Return weights (n,) and observed information (n,) if the model has an error.
+
+    Without it, a place where the model is off looks like soft tissue, and its points count half.
+
+    Parameters
+    ----------
+    e : (n,) float, metres
+        Residuals.
+    neighbours : (n, k) int
+        Nearest neighbours of each point.
+    noise, error_sd : float, metres
+        Standard deviations of the noise of a point and of the error of the model.
+    inlier_ratio : float
+
+    """
+    n, K = neighbours.shape
+    mean, weight, information = np.zeros((3, n))
+    local_sd = math.sqrt(error_sd**2 + noise**2 / K)
+    _local_means(e, neighbours, INTERFERENCE_RANGE, np.zeros(2 * n), mean)
+    _expectation(e, mean, inlier_ratio, noise, local_sd, INTERFERENCE_RANGE, weight)
+    _observed_information(mean, weight, local_sd, n, np.zeros(0), information)
+    return weight, information
+
+
 def patch_likelihood(e: Array, neighbours: NDArray[np.int64], local_sd: float,
                      touch_sd: Array = NO_TOUCHES) -> float:
     """

@@ -39,7 +39,7 @@ from gsdf_registration.solver.process_matrices import (
 # Points are grouped in cells over which the error is constant. Each pair: maximum number of cells,
 # points per cell on average. A coarse grouping suffices to estimate the size of the error, which
 # takes many evaluations; the pose needs a fine one.
-COARSE, FINE = (100, 6), (300, 2)
+COARSE, FINE = (100, 6), (200, 3)
 MIN_CELLS = 12      # twice the degrees of freedom
 LENGTHS = np.array([0.004, 0.008, 0.016, 0.032, 0.064])     # m, equally probable
 # Standard deviations of the local error and of the offset, over the expected one
