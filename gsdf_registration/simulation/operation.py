@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.simulation.ball_tip import BallContact
 from gsdf_registration.simulation.distortion import Distortion
@@ -29,7 +30,7 @@ from gsdf_registration.simulation.probe import (
     simulate_landmarks,
     simulate_scan,
 )
-from gsdf_registration.simulation.tool_motion import Tool, carried
+from gsdf_registration.simulation.tool_motion import Tool, ToolMotion, carried
 from gsdf_registration.simulation.touched_bone import TouchedBone
 
 PAUSE = 2.0             # s, between two parts
@@ -121,41 +122,30 @@ def simulate_operation(bone: TouchedBone, plan: Plan, sway: Sway, T_tracker_bone
     if not isinstance(tracker.distortion, Distortion):
         tracker = replace(tracker, distortion=Distortion.random(tracker.distortion, rng))
     recorder = _Recorder(replace(plan, tracker=tracker), sway, rng)
-    T_array_bone = inverse(sway.T_tracker_body) @ T_tracker_bone
     if plan.pivoting > 0.0:
-        turned = pivoting(rng, plan.pivoting, tracker.rate, noise=EXACT, tip=plan.tool.tip)
-        recorder.call_around('calibrate_tip', turned.stamps)
-        recorder.record('pivoting', turned.stamps, turned.T_tracker_body)
+        recorder.turn_in_divot()
+    T_array_bone = inverse(sway.T_tracker_body) @ T_tracker_bone
     if plan.swinging > 0.0:
-        assert hip_centre is not None
-        swing = leg_swing(rng, plan.swinging, tracker.rate,
-                          noise=replace(EXACT, wander=HIP_MOTION),
-                          hip_centre=transform(T_array_bone, hip_centre),
-                          place=transform(T_tracker_bone, hip_centre),
-                          mean=sway.T_tracker_body[:3, :3])
-        recorder.call_around('find_joint_centre', swing.stamps)
-        recorder.record_swing(swing.stamps, swing.T_tracker_body)
+        if hip_centre is None:
+            raise InputError('the centre of the hip is needed to swing the leg')
+        recorder.swing_leg(T_array_bone, hip_centre)
     exact = replace(tracker, sigma=0.0, distortion=0.0, dropouts=0.0)
-    distance = BallContact(bone.vertices, bone.faces).distance
     touches = simulate_landmarks(landmarks, rng, tracker=exact, T_tracker_bone=T_tracker_bone)
     strokes = bone.touched(simulate_scan(
         bone.patch, plan.points, rng, tracker=exact, interference=plan.interference,
         hand=plan.hand, T_tracker_bone=T_tracker_bone), rng)
-    for name, recording in (('landmarks', touches), ('strokes', strokes)):
-        if not len(recording.stamps):
-            continue
-        motion = carried(recording, bone.patch, distance, tracker.rate, rng, plan.tool)
-        for k in range(len(landmarks) if name == 'landmarks' else 0):
-            first = float(recording.stamps[recording.strokes == k][0])
-            recorder.call('capture_landmark', first + REACTION)
-        if name == 'strokes':
-            recorder.call_around('collect', motion.stamps, (True, False))
-        recorder.record(name, motion.stamps, motion.T_bone_tool, T_array_bone)
-    recorder.call('register', 0.0)
-    places = np.array([touches.tips[touches.strokes == k].mean(axis=0)
-                       for k in range(len(landmarks))]).reshape(-1, 3)
-    return Operation(recorder.probe, recorder.arrays(), tuple(recorder.calls), T_array_bone,
-                     transform(T_array_bone, places), np.array(PIVOT_PLACE), strokes)
+    distance = BallContact(bone.vertices, bone.faces).distance
+    firsts = [int(np.argmax(touches.strokes == k)) for k in range(len(landmarks))]
+    if firsts:
+        recorder.call_at('capture_landmark', touches.stamps[firsts] + REACTION)
+        recorder.record('landmarks', carried(touches, bone.patch, distance, tracker.rate, rng,
+                                             plan.tool), T_array_bone)
+    motion = carried(strokes, bone.patch, distance, tracker.rate, rng, plan.tool)
+    recorder.call_around('collect', motion.stamps, (True, False))
+    recorder.record('strokes', motion, T_array_bone)
+    recorder.call_at('register', np.zeros(1))
+    return Operation(recorder.probe, recorder.array, tuple(recorder.calls), T_array_bone,
+                     transform(T_array_bone, touches.tips[firsts]), np.array(PIVOT_PLACE), strokes)
 
 
 class _Recorder:
@@ -165,44 +155,53 @@ class _Recorder:
         self._plan, self._sway, self._rng = plan, sway, rng
         self._start = PAUSE
         self.probe: dict[str, Poses] = {}
-        self._still: list[Poses] = []
-        self._swing: Poses | None = None
+        self.array: dict[str, Poses] = {}
         self.calls: list[Call] = []
 
-    def call(self, service: str, stamp: float, data: bool | None = None) -> None:
-        """Add a call at a time since the start of the part."""
-        self.calls.append(Call(round(self._start + stamp, 6), service, data))
+    def call_at(self, service: str, stamps: Array) -> None:
+        """Add calls at times since the start of the part."""
+        self.calls += [Call(round(self._start + float(stamp), 6), service) for stamp in stamps]
 
     def call_around(self, service: str, stamps: Array,
                     data: tuple[bool | None, bool | None] = (None, None)) -> None:
         """Add a call half a second before the first and after the last of ``stamps``."""
         for stamp, value in zip((float(stamps[0]) - 0.5, float(stamps[-1]) + 0.5), data):
-            self.call(service, stamp, value)
+            self.calls.append(Call(round(self._start + stamp, 6), service, value))
 
-    def record(self, name: str, stamps: Array, T: Array, T_array_bone: Array | None = None) -> None:
-        """Record poses of the probe in the frame of the tracker, or of the bone, and the array."""
-        frames = self._start + stamps
+    def turn_in_divot(self) -> None:
+        """Record poses of the probe alone: the divot is not near the patient."""
+        plan = self._plan
+        turned = pivoting(self._rng, plan.pivoting, plan.tracker.rate, noise=EXACT,
+                          tip=plan.tool.tip)
+        self.call_around('calibrate_tip', turned.stamps)
+        self.probe['pivoting'], = self._reported(turned.stamps, turned.T_tracker_body)
+
+    def swing_leg(self, T_array_bone: Array, hip_centre: Array) -> None:
+        """Record poses of the array alone."""
+        plan, T = self._plan, self._sway.T_tracker_body
+        place = transform(T_array_bone, hip_centre)
+        swing = leg_swing(self._rng, plan.swinging, plan.tracker.rate,
+                          noise=replace(EXACT, wander=HIP_MOTION), hip_centre=place,
+                          place=transform(T, place), mean=T[:3, :3])
+        self.call_around('find_joint_centre', swing.stamps)
+        self.array['swinging'], = self._reported(swing.stamps, swing.T_tracker_body)
+
+    def record(self, name: str, motion: ToolMotion, T_array_bone: Array) -> None:
+        """Record poses of the probe on the bone, and of the array."""
+        frames = self._start + motion.stamps
         T_tracker_array = np.array([self._sway.pose(stamp) for stamp in frames])
-        if T_array_bone is not None:
-            T = T_tracker_array @ T_array_bone @ T
-        probe_seen, array_seen = received(frames, 2, self._plan.tracker.rate, self._plan.losses,
-                                          self._rng)
-        self.probe[name] = self._measured(frames, T, probe_seen)
-        self._still.append(self._measured(frames, T_tracker_array, array_seen))
+        probe, array = self._reported(motion.stamps, T_tracker_array @ T_array_bone
+                                      @ motion.T_bone_tool, T_tracker_array)
+        self.probe[name] = probe
+        before = self.array.get('still')
+        self.array['still'] = array if before is None else Poses(
+            *(np.concatenate(both) for both in zip(before, array)))
+
+    def _reported(self, stamps: Array, *bodies: Array) -> list[Poses]:
+        """Return the poses (n, 4, 4) of each body that are seen, with noise and distortion."""
+        plan, frames = self._plan, self._start + stamps
+        seen = received(frames, len(bodies), plan.tracker.rate, plan.losses, self._rng)
         self._start += float(stamps[-1]) + PAUSE
-
-    def record_swing(self, stamps: Array, T: Array) -> None:
-        """Record poses of the array that swings with the leg."""
-        seen, = received(stamps, 1, self._plan.tracker.rate, self._plan.losses, self._rng)
-        self._swing = self._measured(self._start + stamps, T, seen)
-        self._start += float(stamps[-1]) + PAUSE
-
-    def arrays(self) -> dict[str, Poses]:
-        """Return the poses of the array in each part."""
-        still = Poses(*(np.concatenate([poses[i] for poses in self._still]) for i in range(2)))
-        return {'still': still, **({} if self._swing is None else {'swinging': self._swing})}
-
-    def _measured(self, stamps: Array, T: Array, seen: Array) -> Poses:
-        """Return the poses with noise and distortion, as far as they are seen."""
-        return Poses(stamps[seen], measured_poses(T, self._plan.tracker,
-                                                  self._plan.orientation_noise, self._rng)[seen])
+        return [Poses(frames[rows], measured_poses(T, plan.tracker, plan.orientation_noise,
+                                                   self._rng)[rows])
+                for T, rows in zip(bodies, seen)]
