@@ -48,7 +48,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         *shared('bags', 'config', 'examples', 'launch'),
     ],
-    package_data={f'{NAME}.visualization': ['report.html']},
+    package_data={f'{NAME}.visualization': ['report*.html', 'report.css', 'report.js']},
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=[
@@ -57,7 +57,7 @@ setup(
         'numba>=0.58',
         'trimesh>=4',
         'rosbags>=0.11',
-        'mcap>=1.2',
+        'mcap>=1.6',
         'PyYAML>=6',
     ],
     extras_require={
@@ -84,7 +84,7 @@ setup(
             'ros-jazzy-python-cmake-module==0.11.1',
         ],
         'console': ['viser>=1.1'],
-        'report': ['matplotlib>=3.7', 'plotly>=5'],
+        'report': ['matplotlib>=3.7', 'pillow>=10'],
         # OpenIGTLink: PLUS, Slicer
         'igtl': ['pyigtl>=0.3'],
         # segmentations (NIfTI, NRRD, DICOM), models in VTK and 3MF files, transforms in HDF5
@@ -112,8 +112,12 @@ setup(
             'lxml>=4.9',
             'networkx>=3',
             'pyigtl>=0.3',
+            'jsonschema>=4.18',
             'matplotlib>=3.7',
             'plotly>=5',
+            'viser>=1.1',
+            'playwright',       # drives the chromium of the system
+            'pillow',
             'colcon-common-extensions==0.3.0',
         ],
     },

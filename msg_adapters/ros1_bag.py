@@ -24,6 +24,8 @@ LENGTH = struct.Struct('<I')
 TIME = struct.Struct('<II')     # seconds, nanoseconds
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7    # op
 TYPES = get_typestore(Stores.ROS2_JAZZY)    # its types are those of ROS 1 but for the header's seq
+DECOMPRESSORS: dict[bytes, Callable[[], Callable[[bytes], bytes]]] = {
+    b'none': lambda: bytes, b'bz2': lambda: bz2.BZ2Decompressor().decompress, b'lz4': lz4_frame}
 RENAMED = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
 
 
@@ -81,9 +83,7 @@ class _Reader:
             self._add(fields, data)
 
     def _read_chunk(self, fields: dict[bytes, bytes], data: bytes, cut: bool) -> None:
-        decompress: Callable[[bytes], bytes] = {
-            b'none': bytes, b'bz2': bz2.BZ2Decompressor().decompress, b'lz4': lz4_frame()
-        }[fields[b'compression']]
+        decompress = DECOMPRESSORS[fields[b'compression']]()
         found = bytearray()
         try:
             for piece in decompressed_pieces(iter([data]), decompress):

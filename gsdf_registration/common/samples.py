@@ -47,6 +47,7 @@ class Rejection(str, Enum):
     CALIBRATING = 'calibrating'     # used to find the tip of the probe or a joint centre
     NOT_COLLECTING = 'not_collecting'
     TOUCHED = 'touched'     # stationary tip at a landmark or verification point, not for the fit
+    UNDONE = 'undone'       # of a stroke that was dropped
     DUPLICATE = 'duplicate'
     TOO_FAST = 'too_fast'
     FULL = 'full'
@@ -103,3 +104,9 @@ def without_tools(positions: Array, stamps: Array, strokes: np.ndarray,
                   sources: np.ndarray) -> Points:
     """Return points (n,) that were received as positions of the tip."""
     return Points(positions, stamps, strokes, sources, np.full((len(stamps), 7), np.nan))
+
+
+def untimed(positions: Array) -> Points:
+    """Return positions (n, 3), m, of which neither stamps nor strokes are known."""
+    zeros = np.zeros(len(positions), np.int32)
+    return without_tools(positions, zeros.astype(np.float64), zeros, zeros)

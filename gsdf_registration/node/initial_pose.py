@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from gsdf_registration.common.result import InputError
+from gsdf_registration.node.events import EventPublisher
 from gsdf_registration.session import Answer, Session
 from msg_adapters import ros
 
@@ -17,6 +18,7 @@ class InitialPoseNode(Protocol):
     """The node, as far as the subscription uses it."""
 
     session: Session
+    events: EventPublisher
     state: str
 
     def get_logger(self) -> RcutilsLogger:
@@ -70,4 +72,8 @@ class InitialPoseInput:
             answer = Answer(False, f'the initial pose is rejected: {error.message}')
             session.set_notice(answer.message, warning=True)
             return answer
-        return session.set_initial_pose(T, frame_id)
+        place = self._node.events.begin(session.kept)
+        answer = session.set_initial_pose(T, frame_id)
+        self._node.events.publish('initial_pose', place, answer, {
+            'T_tracker_bone': T.tolist(), 'frame_id': frame_id})
+        return answer

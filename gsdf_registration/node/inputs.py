@@ -50,16 +50,20 @@ class Inputs:
     Parameters
     ----------
     node, config, session
+    last : dict of str to (int, float)
+        Number and stamp, s, of the last message on each topic, kept up to date.
     types : message type by topic, as these inputs' predecessors received them
 
     """
 
     def __init__(self, node: Node, config: Config, session: SampleSink,
+                 last: dict[str, tuple[int, float]],
                  types: Mapping[str, str] = MappingProxyType({})) -> None:
         self.active = False
         self.types: dict[str, str] = {}     # message type received by topic; empty: none
         self.arrivals = Arrivals()
         self._node = node
+        self._last = last
         self._transformer = PointTransformer(session, None)
         self._delay = 0.0       # s that the last pose or transform waited in the queue
         self._transforms: transforms.Transforms | None = None
@@ -197,18 +201,22 @@ class Inputs:
         return sum(lost[topic] for topic in self.types)
 
     def _on_point(self, topic: str, message: PointStamped, info: dict[str, Any]) -> None:
-        if self.active:
-            arrival = self._now() - transforms.queue_delay(info)
-            self._add(ros.sample_from(message, topic, arrival), arrival)
+        arrival = self._now() - transforms.queue_delay(info)
+        self._add(ros.sample_from(message, topic, arrival), arrival)
 
     def _on_tool_pose(self, topic: str, kind: str, message: Any, info: dict[str, Any]) -> None:
-        if self.active:
-            arrival = self._now() - transforms.queue_delay(info)
-            self._add(ros.tool_sample_from(message, kind, topic, arrival), arrival)
+        arrival = self._now() - transforms.queue_delay(info)
+        self._add(ros.tool_sample_from(message, kind, topic, arrival), arrival)
 
     def _add(self, sample: Sample, arrival: float) -> None:
+        self._count(sample.topic, sample.stamp)
+        if not self.active:
+            return
         self.arrivals.add(sample.topic, sample.stamp, arrival)
         self._transformer.add_point(sample)
+
+    def _count(self, topic: str, stamp: float) -> None:
+        self._last[topic] = self._last.get(topic, (0, 0.0))[0] + 1, stamp
 
     def _on_transform(self, parent: str, child: str, stamp: float, T: Array, static: bool,
                       delay: float) -> None:
@@ -221,8 +229,9 @@ class Inputs:
             T = to_matrix(*TOOL_POSES[kind](message))
         except InputError:
             T = INVALID_TRANSFORM
-        header = message.header
-        self._transformer.add_pose(ros.stamp_to_seconds(header.stamp), T, header.frame_id)
+        stamp = ros.stamp_to_seconds(message.header.stamp)
+        self._count(self._reference, stamp)
+        self._transformer.add_pose(stamp, T, message.header.frame_id)
 
     def _on_jump(self, jump: TimeJump) -> None:
         if not self.active:

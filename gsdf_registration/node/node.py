@@ -18,6 +18,7 @@ from gsdf_registration.common.samples import Rejection
 from gsdf_registration.field import Field
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.live.worker import LiveWorker
+from gsdf_registration.node.events import EventPublisher, settings_request
 from gsdf_registration.node.hints import Hint, Hints
 from gsdf_registration.node.initial_pose import InitialPoseInput
 from gsdf_registration.node.inputs import Inputs
@@ -71,6 +72,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self._live: LiveWorker | None = None
         self._status = StatusPublisher(self)
         self._tip = create_tip_publisher(self)
+        self.events = EventPublisher(self)
         self._private_services = Services(self)
         self._initial_pose = InitialPoseInput(self)
         self._reloader = ModelReloader(self)
@@ -121,7 +123,9 @@ class RegistrationNode(PreparedLifecycleNode):
         self._reloader.set_current(config.model)
         self.problem = None
         self._outputs = Outputs(self, config)
-        self._inputs = Inputs(self, config, TipPublisher(self._tip, self.session))
+        self._inputs = Inputs(self, config, TipPublisher(self._tip, self.session),
+                              self.events.last)
+        self._report_state('configure')
         if not changed.probe.tip:   # the session that is resumed may have one
             changed = changed.replaced({'probe.tip': config.probe.tip})
         if changed != config:   # by a parameter set meanwhile
@@ -134,6 +138,7 @@ class RegistrationNode(PreparedLifecycleNode):
         """Receive points and, if ``collect.automatic``, collect them."""
         result = super().on_activate(state)
         self.cancelled.clear()
+        self._report_state('activate')
         self.session.collect(self.session.config.collect.automatic or self.session.collecting)
         if self._inputs is not None:
             self._inputs.activate()
@@ -146,6 +151,7 @@ class RegistrationNode(PreparedLifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop receiving points; the collected points stay."""
         self.cancelled.set()
+        self._report_state('deactivate')
         if self._inputs is not None:
             self._inputs.active = False
         self._stop_live()
@@ -167,6 +173,12 @@ class RegistrationNode(PreparedLifecycleNode):
         """Unload the bone and end the session."""
         self._release()
         return TransitionCallbackReturn.SUCCESS
+
+    def _report_state(self, name: str) -> None:
+        """Publish a change of the node's state with all settings."""
+        sha256 = None if self.field is None else self.field.bone_sha256
+        self.events.publish(name, self.events.begin(self.session.kept),
+                            request=settings_request(self.session.config, sha256))
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """After an exception in a transition, become unconfigured."""
@@ -242,7 +254,10 @@ class RegistrationNode(PreparedLifecycleNode):
     def use_model(self, field: Field) -> bool:
         """Use this bone; return whether it replaces a different one, see `Session.set_model`."""
         self.field = field
+        place = self.events.begin(self.session.kept)
         other = self.session.set_model(field)
+        self.events.publish('model', place, request=settings_request(self.session.config,
+                                                                     field.bone_sha256))
         if self.state == 'active':
             if self._outputs is not None:
                 self._outputs.show_bone(field, self.session)
@@ -313,7 +328,7 @@ class RegistrationNode(PreparedLifecycleNode):
         status = self._current_status()
         self._status.publish_diagnostics(status, self._live_status)
         causes = {cause: count for cause, count in status.rejected.items()
-                  if count and cause not in ('not_collecting', 'touched', 'calibrating')}
+                  if count and cause not in ('not_collecting', 'touched', 'calibrating', 'undone')}
         before, self._rejected = self._rejected, sum(causes.values())
         if self._rejected > before:     # lift-offs and the like are normal; `problem` is not
             counts = ', '.join(f'{count} {cause}' for cause, count in causes.items())
@@ -343,6 +358,7 @@ class RegistrationNode(PreparedLifecycleNode):
         if reload_needed:
             config = self._reloader.keep_places(config)
         inputs = self._inputs_for(config, before)
+        place = self.events.begin(self.session.kept)
         try:
             self.files.move(config.session)
             try:
@@ -354,6 +370,10 @@ class RegistrationNode(PreparedLifecycleNode):
             if inputs is not None and inputs is not self._inputs:
                 inputs.destroy()
             raise
+        after, flat = config.flat(), before.flat()
+        changed = {name: value for name, value in after.items() if value != flat[name]}
+        if changed:
+            self.events.publish('parameters', place, request=changed)
         if reload_needed:
             self._reloader.start()
         if self._inputs is not None and inputs is not None:
@@ -376,7 +396,8 @@ class RegistrationNode(PreparedLifecycleNode):
         if self._inputs is None or config.probe.topics == before.probe.topics:
             return self._inputs
         try:
-            return Inputs(self, config, TipPublisher(self._tip, self.session), self._inputs.types)
+            return Inputs(self, config, TipPublisher(self._tip, self.session),
+                          self.events.last, self._inputs.types)
         except RCLError as error:       # such as a topic of another type in this process
             raise InputError(f'probe.topics: {error}; {", ".join(before.probe.topics)} is kept'
                              ) from None

@@ -19,11 +19,13 @@ from gsdf_registration.common.rigid import Array, rms_displacement
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.node.background import BackgroundThread
+from gsdf_registration.node.events import EventPublisher, request_values
 from gsdf_registration.node.progress import Progress
 from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.status import pose_kept
 from gsdf_registration.node.typed_services import typed_services
 from gsdf_registration.session import Session
+from gsdf_registration.session.calibration import CalibrationKind
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.status import Status
 from gsdf_registration.tracking.pivot import FixedPoint
@@ -37,6 +39,7 @@ class ServiceNode(Protocol):
 
     session: Session
     files: SessionFiles
+    events: EventPublisher
     cancelled: threading.Event      # set to cancel a running registration
     progress: Progress              # of the running registration
 
@@ -113,9 +116,11 @@ class Services:
 
         async def serve(request: Any, response: Any) -> Any:
             node = self._node
-            refusal = node.refusal()
+            refusal, performed = node.refusal(), False
+            place = node.events.begin(node.session.kept)
             try:
                 answer = Answer(False, refusal) if refusal else await handler(request)
+                performed = not refusal and self._performed(name, answer)
             except InputError as error:
                 answer = Answer(False, error.message)
             # noqa: BLE001 - after an internal error the client still gets an answer
@@ -127,11 +132,22 @@ class Services:
                 log.info(answer.message)
             else:   # a client may repeat its request in a loop
                 log.warning(answer.message, throttle_duration_sec=1.0)
+            node.events.publish(name.removeprefix('typed/'), place, answer, request_values(request),
+                                performed,
+                                answer.detail if isinstance(answer.detail, str) else '')
             node.publish_status()
             response.success, response.message = answer.success, answer.message
             fill(response, answer)
             return response
         return serve
+
+    def _performed(self, name: str, answer: Answer) -> bool:
+        """Return whether the session carried a request out, see `OperatorEvent`."""
+        if isinstance(answer.detail, RegistrationResult):
+            return self._node.session.status().result is answer.detail
+        if name.endswith(('verify', 'capture_landmark')):
+            return answer.success or answer.detail is not None
+        return True
 
     async def collect(self, request: SetBool.Request) -> Answer:
         """Start or end a stroke."""
@@ -149,17 +165,19 @@ class Services:
         if not dropped.success or before.outdated or not session.status().outdated:
             return dropped
         used = f'{dropped.message}; the pose used it'
+        attempted = 'withdrawn'
         if self._background.busy:
             why = 'register again when the current request is finished'
         else:
             found = await self._register(None)
             if found.success:
                 return Answer(True, f'{dropped.message}; registered again without it: '
-                              f'{self._moved_since(before)}; {found.message}')
+                              f'{self._moved_since(before)}; {found.message}', 'registered')
+            attempted = 'refused'
             why = f'a registration without it is refused: {found.reason}: {found.message}'
         session.withdraw_pose(Withdrawal.POINTS_DROPPED,
                               f'a stroke that the pose used was dropped; {why}')
-        return Answer(True, f'{used} and is withdrawn; {why}')
+        return Answer(True, f'{used} and is withdrawn; {why}', attempted)
 
     def _moved_since(self, before: Status) -> str:
         """Return how far the registered bone is from its position ``before``."""
@@ -206,14 +224,16 @@ class Services:
     async def _register(self, T_tracker_bone: Array | None) -> RegistrationResult:
         session, cancelled = self._node.session, self._node.cancelled
         progress = self._node.progress
-
-        def job() -> RegistrationResult:
+        self._refuse_if_busy()
+        job = session.start_registration(T_tracker_bone=T_tracker_bone,
+                                         cancelled=cancelled.is_set, progress=progress.show)
+        if isinstance(job, RegistrationResult):     # refused at once
+            result = job
+        else:
             try:
-                return session.register(T_tracker_bone=T_tracker_bone, cancelled=cancelled.is_set,
-                                        progress=progress.show)
+                result = await self._in_background(job)
             finally:
                 progress.end()
-        result: RegistrationResult = await self._in_background(job)
         self._node.registration_finished(result.success)
         return result
 
@@ -236,7 +256,7 @@ class Services:
         The tip is also written beside ``session.path``, see `SessionFiles.save_tip`.
         """
         node, session = self._node, self._node.session
-        answer = await self._start_or_end(session, session.calibrations.calibrate_tip)
+        answer = await self._start_or_end(session, CalibrationKind.TIP)
         found = answer.detail
         if not isinstance(found, FixedPoint) or found.point is None:
             return answer
@@ -249,21 +269,26 @@ class Services:
     async def find_joint_centre(self, _: Trigger.Request) -> Answer:
         """Start to find the centre of a joint from swinging; the next call ends it."""
         session = self._node.session
-        return await self._start_or_end(session, session.calibrations.find_joint_centre)
+        return await self._start_or_end(session, CalibrationKind.JOINT_CENTRE)
 
-    async def _start_or_end(self, session: Session, call: Callable[[], Answer]) -> Answer:
-        """Start a calibration at once, or end it in the background: that takes a moment."""
-        if session.calibrations.progress is None:
-            return call()
-        answer: Answer = await self._in_background(call)
+    async def _start_or_end(self, session: Session, kind: CalibrationKind) -> Answer:
+        """Start or end a calibration; its result is found in the background."""
+        if session.calibrations.progress is not None:
+            self._refuse_if_busy()
+        answer = session.calibrations.begin_or_end(kind)
+        if not isinstance(answer, Answer):
+            answer = await self._in_background(answer)
         return answer
 
     async def _in_background(self, job: Callable[[], Any]) -> Any:
         executor = self._node.executor
         assert executor is not None     # it runs this callback
+        self._refuse_if_busy()
+        return await self._background.run(executor, job)
+
+    def _refuse_if_busy(self) -> None:
         if self._background.busy:
             raise InputError('another request is running; wait for its answer')
-        return await self._background.run(executor, job)
 
     def shutdown(self, timeout: float) -> bool:
         """Start no more jobs; return whether the running one ended within ``timeout`` seconds."""

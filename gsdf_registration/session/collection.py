@@ -63,7 +63,6 @@ class Collection:
         """Drop all points, counts and stamps; ``collecting`` stays."""
         self.expect_frame(frame_id)
         self.received = 0
-        self.undone = 0
         self.counts = {str(cause): 0 for cause in Rejection}
         self._points = _allocate(INITIAL_CAPACITY)
         self._serials = np.empty(INITIAL_CAPACITY, np.int64)
@@ -115,11 +114,11 @@ class Collection:
         return sorted(self._strokes)
 
     def drop_stroke(self, number: int) -> Stroke | None:
-        """Drop a stroke and return it; None if there is no such stroke."""
+        """Drop a stroke and return it; None if there is none. Its points count as rejected."""
         stroke = self._strokes.get(number)
         if stroke is not None:
             self._drop(self._points.strokes[:self._size] == number)
-            self.undone += stroke.points
+            self.counts[Rejection.UNDONE.value] += stroke.points
         return stroke
 
     def withdraw(self, source: int, since: float, place: Position, radius: float) -> int:

@@ -2,13 +2,15 @@
 """
 Replay of a recording through the session that the node uses, without ROS and without waiting.
 
-The result is the same to the bit every time.
+The result is the same to the bit every time. With the events of the node, what the operator did is
+carried out again at the same places among the samples.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from dataclasses import dataclass
 from typing import Any
 
 from gsdf_registration.common.config import Config
@@ -18,11 +20,28 @@ from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Sample
 from gsdf_registration.field import Field
 from gsdf_registration.session import Session, restart_notice
+from gsdf_registration.session.operator_replay import OperatorReplay, Settle, recorded_config
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters.recording import Recording
 
 _log = logging.getLogger('gsdf_registration')
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """
+    The outcome of a replay.
+
+    result : that of the node: its accepted registration, or why the last one was refused; without
+        a registration by the operator, that of all points
+    session : at the end
+    notes : sentences on what was noticed
+    """
+
+    result: RegistrationResult
+    session: Session
+    notes: tuple[str, ...]
 
 
 def replay(recording: Recording, field: Field, config: Config | None = None,
@@ -54,30 +73,81 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
         If the recording has no stamps.
 
     """
-    session = collected(recording, field, config)
+    session, notes = _collected(recording, field, config or Config())
+    for note in notes:
+        _log.warning('%s', note)
     return session.register(landmarks, T_tracker_bone), session
+
+
+def replay_events(recording: Recording, field: Field, settle: Settle,
+                  landmarks: Landmarks | None = None,
+                  T_tracker_bone: Array | None = None) -> Replayed:
+    """
+    Replay a recording with what the operator did, if that is recorded; else as `replay`.
+
+    Parameters
+    ----------
+    recording, field, landmarks, T_tracker_bone
+        As in `replay`; landmarks and start pose are used in place of those of the node.
+    settle : function
+        Returns the settings to use in place of those of the node, or of the defaults.
+
+    """
+    if not recording.events:
+        session, remarks = _collected(recording, field, settle(Config()))
+        return Replayed(session.register(landmarks, T_tracker_bone), session, remarks)
+    events = [each.event for each in recording.events]
+    settings: dict[str, Any] = next((event.request['settings'] for event in events
+                                     if 'settings' in event.request), {})
+    session = Session(recorded_config(settings, settle), field)
+    session.collect(False)
+    restarts = _restarts(session)
+    transformer = PointTransformer(session, Frames())
+    operator = OperatorReplay(session, transformer.clear, field.bone_sha256, settle, landmarks,
+                              T_tracker_bone)
+    notes = _play(recording, transformer, operator)
+    session.count_rejected(recording.dropped)
+    status = session.status()
+    result = status.pose_result or status.result
+    if result is None:
+        result = session.register(landmarks, T_tracker_bone)
+    return Replayed(result, session, (*operator.notes, *restarts, *notes))
 
 
 def collected(recording: Recording, field: Field, config: Config | None = None) -> Session:
     """Return a session with the points of a recording; arguments and errors as in `replay`."""
+    return _collected(recording, field, config or Config())[0]
+
+
+def _collected(recording: Recording, field: Field,
+               config: Config) -> tuple[Session, tuple[str, ...]]:
+    """Return a session with the points of a recording, and what was noticed."""
+    session = Session(config, field)
+    session.collect(True)
+    restarts = _restarts(session)
+    notes = _play(recording, PointTransformer(session, Frames()), None)
+    session.count_rejected(recording.dropped)
+    return session, (*restarts, *notes)
+
+
+def _restarts(session: Session) -> list[str]:
+    """Return a list that receives a sentence whenever the session starts again by itself."""
+    restarts: list[str] = []
+
+    def listen(event: str, value: Any) -> None:
+        if event == 'clear' and value:
+            restarts.append(f'{restart_notice(value)}; the points before it are dropped')
+    session.listen(listen)
+    return restarts
+
+
+def _play(recording: Recording, transformer: PointTransformer,
+          operator: OperatorReplay | None) -> list[str]:
+    """Add points, transforms and events in the order in which they were received."""
     if recording.stamps is None:
         raise InputError(
             'the recording has no stamps, so it cannot be replayed; register its points instead')
-    session = Session(config or Config(), field)
-    session.collect(True)
-    session.listen(_log_restart)
-    _play(recording, PointTransformer(session, Frames()), recording.stamps.tolist())
-    session.count_rejected(recording.dropped)
-    return session
-
-
-def _log_restart(event: str, value: Any) -> None:
-    if event == 'clear' and value:
-        _log.warning('%s; the points before it are dropped', restart_notice(value))
-
-
-def _play(recording: Recording, transformer: PointTransformer, stamps: list[float]) -> None:
-    """Add points and transforms in the order in which they were received."""
+    stamps = recording.stamps.tolist()
     names = recording.source_names
     positions, sources = recording.positions.tolist(), recording.sources.tolist()
     quality = [None] * len(stamps) if recording.quality is None else recording.quality.tolist()
@@ -85,20 +155,27 @@ def _play(recording: Recording, transformer: PointTransformer, stamps: list[floa
     tools = [None] * len(stamps) if recording.tools is None else [
         None if all(math.isnan(value) for value in tool) else tuple(tool)
         for tool in recording.tools.tolist()]
-    transforms = iter([*recording.transforms, None])
-    pending = next(transforms)
+    transforms, events = recording.transforms, recording.events if operator else ()
+    moved = done = 0        # transforms and events so far
     for row in range(len(stamps) + 1):
-        while pending is not None and pending.after <= row:
-            if pending.child:
-                transformer.add_transform(pending.parent, pending.child, pending.stamp,
-                                          pending.T_parent_child, pending.fixed)
+        while True:
+            if (done < len(events) and events[done].after <= row
+                    and events[done].transforms <= moved):
+                assert operator is not None
+                operator.apply(events[done].event)
+                done += 1
+            elif moved < len(transforms) and transforms[moved].after <= row:
+                pending, moved = transforms[moved], moved + 1
+                if pending.child:
+                    transformer.add_transform(pending.parent, pending.child, pending.stamp,
+                                              pending.T_parent_child, pending.fixed)
+                else:
+                    transformer.add_pose(pending.stamp, pending.T_parent_child, pending.parent)
             else:
-                transformer.add_pose(pending.stamp, pending.T_parent_child, pending.parent)
-            pending = next(transforms)
-        if row < len(stamps):
+                break
+        if row < len(stamps) and (operator is None or operator.active):
             transformer.add_point(Sample(
                 stamps[row], tuple(positions[row]), recording.frame_ids[row], names[sources[row]],
                 quality=quality[row], stroke=strokes[row], tool=tools[row]))
     transformer.finish()
-    if transformer.problem:
-        _log.warning('%s', transformer.problem)
+    return [transformer.problem] if transformer.problem else []

@@ -160,6 +160,7 @@ class SessionState:
         if stroke is not None:
             self.revision += 1
             self._report('undo', stroke.number)
+            self._report('rejected', {Rejection.UNDONE.value: stroke.points})
         return stroke
 
     def clear(self, reason: str | None = None) -> None:

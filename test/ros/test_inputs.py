@@ -38,7 +38,7 @@ def context() -> Iterator[Context]:
 def test_processes_all_waiting_messages_in_one_callback(context: Context) -> None:
     node, tracker = Node('node', context=context), Node('tracker', context=context)
     session = Session(CONFIG)
-    inputs = Inputs(node, CONFIG, session)
+    inputs = Inputs(node, CONFIG, session, {})
     inputs.active = True
     publisher = tracker.create_publisher(PointStamped, '/delayed', QoSProfile(depth=MESSAGES))
     executor = SingleThreadedExecutor(context=context)
@@ -95,7 +95,7 @@ for stamp in itertools.count():
                     reason='other middleware may count in another way')
 def test_counts_the_messages_that_did_not_fit_into_the_queue(context: Context) -> None:
     node, session = Node('node', context=context), Session(CONFIG)
-    inputs = Inputs(node, CONFIG, session)
+    inputs = Inputs(node, CONFIG, session, {})
     inputs.activate()
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)

@@ -86,4 +86,4 @@ def test_undo_returns_what_split_the_stroke() -> None:
     drag(c, 10, first=1010)
     parts = [c.undo() for _ in range(5)]
     assert [part and part.split_by for part in parts] == ['', 'silence', 'landing', 'lift-off', '']
-    assert c.undone == 460 and c.undo() is None
+    assert c.counts['undone'] == 460 and c.undo() is None

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The requests of an operator, carried out again on a session in a replay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.landmarks import Landmarks
+from gsdf_registration.common.operator_event import OperatorEvent
+from gsdf_registration.common.result import InputError, RegistrationResult
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.withdrawal import Withdrawal
+from gsdf_registration.session.calibration import CalibrationKind
+from gsdf_registration.session.landmark_capture import Answer
+from gsdf_registration.session.session import Session
+
+# settings of files and topics, which a replay has from its own command line
+FOREIGN = ('model.path', 'model.unit', 'model.label', 'model.body', 'session.', 'probe.topics')
+
+Settle = Callable[[Config], Config]
+
+
+def recorded_config(settings: Mapping[str, Any], settle: Settle) -> Config:
+    """
+    Return the settings that a node used, by dotted name, changed by ``settle``.
+
+    Raises
+    ------
+    InputError
+        If the settings do not fit together, or come from another version.
+
+    """
+    return settle(Config().replaced({name: value for name, value in settings.items()
+                                     if not name.startswith(FOREIGN)}))
+
+
+class OperatorReplay:
+    """
+    Carries out recorded requests.
+
+    Parameters
+    ----------
+    session : Session
+    clear : function
+        Drops the samples that wait for a transform.
+    model_sha256 : str
+        Of the bone of the replay.
+    settle : function
+        Returns the settings to use in place of those of the node.
+    landmarks, T_tracker_bone : optional
+        Of every registration, in place of those of the node.
+
+    Attributes
+    ----------
+    active : bool
+        Whether the node used the samples that it received.
+    notes : list of str
+        Sentences on what differs from the node.
+
+    """
+
+    def __init__(self, session: Session, clear: Callable[[], None], model_sha256: str,
+                 settle: Settle, landmarks: Landmarks | None = None,
+                 T_tracker_bone: Array | None = None) -> None:
+        self.active = False
+        self.notes: list[str] = []
+        self._session, self._clear, self._sha256 = session, clear, model_sha256
+        self._settle = settle
+        self._landmarks, self._T = landmarks, T_tracker_bone
+        self._settings: dict[str, Any] = {}
+        self._differs = False
+
+    def apply(self, event: OperatorEvent) -> None:
+        """Carry out one request; one that the node did not carry out changes nothing."""
+        if not event.performed:
+            return
+        self._compare_points(event)
+        try:
+            answer = self._requests(event)
+        except InputError as error:
+            answer = Answer(False, error.message)
+        if answer is not None and answer.success != event.success:
+            self._differ(f'the node answered "{event.message}", the replay "{answer.message}"',
+                         event)
+
+    def _requests(self, event: OperatorEvent) -> Answer | None:
+        """Carry out a request; return the answer if it can be compared."""
+        session, request, name = self._session, event.request, event.name
+        if name == 'collect':
+            return session.collect(bool(request['data']))
+        if name in ('undo', 'drop_stroke'):
+            return self._drop(event)
+        if name == 'clear':
+            self._clear()
+            return session.clear()
+        if name == 'capture_landmark':
+            return session.capture_landmark()
+        if name == 'verify':
+            return session.verify()
+        if name == 'register':
+            result = self._register(request.get('T_tracker_bone'))
+            return Answer(result.success, f'{result.reason}: {result.message}')
+        if name in [kind.value for kind in CalibrationKind]:
+            call = {CalibrationKind.TIP: session.calibrations.calibrate_tip,
+                    CalibrationKind.JOINT_CENTRE: session.calibrations.find_joint_centre}
+            return call[CalibrationKind(name)]()
+        if name == 'initial_pose':
+            return session.set_initial_pose(np.array(request['T_tracker_bone']),
+                                            request['frame_id'])
+        self._change(event)
+        return None
+
+    def _change(self, event: OperatorEvent) -> None:
+        """Follow a change of the node's state or settings."""
+        session, request = self._session, event.request
+        if event.name == 'parameters':
+            self._settings |= request
+            session.configure(recorded_config(self._settings, self._settle))
+        elif event.name in ('configure', 'activate', 'deactivate', 'model'):
+            self._check_model(request.get('model_sha256'))
+            self._settings = dict(request['settings'])
+            if event.name == 'configure':       # a new session
+                self._clear()
+                session.clear()
+                if event.kept:
+                    self._differ(f'the node resumed a session with {event.kept} points, which are '
+                                 'not in the recording', event)
+            session.configure(recorded_config(self._settings, self._settle))
+            if event.name == 'activate':
+                self.active = True
+                session.collect(session.config.collect.automatic or session.collecting)
+            elif event.name == 'deactivate':
+                self.active = False
+                session.calibrations.cancel('the node was deactivated')
+                session.collect(False)
+        elif event.name == 'load':
+            self._differ('the node loaded a session, which is not in the recording', event)
+        elif event.name != 'save':
+            self._differ('this event is not known', event)
+
+    def _drop(self, event: OperatorEvent) -> Answer:
+        session = self._session
+        answer = session.undo() if event.name == 'undo' else session.drop_stroke(
+            int(event.request['stroke']))
+        if event.follow_up in ('registered', 'refused'):
+            found = self._register(None)
+            if found.success != (event.follow_up == 'registered'):
+                self._differ(f'the node answered "{event.message}", the replay "{found.message}"',
+                             event)
+        if event.follow_up in ('refused', 'withdrawn'):
+            session.withdraw_pose(Withdrawal.POINTS_DROPPED, event.message)
+        return answer
+
+    def _register(self, T_tracker_bone: Any) -> RegistrationResult:
+        initial = None if T_tracker_bone is None else np.array(T_tracker_bone)
+        return self._session.register(self._landmarks, initial if self._T is None else self._T)
+
+    def _check_model(self, model_sha256: str | None) -> None:
+        if model_sha256 not in (None, self._sha256):
+            note = 'the node used another bone model than the replay'
+            if note not in self.notes:
+                self.notes.append(note)
+
+    def _compare_points(self, event: OperatorEvent) -> None:
+        kept = self._session.kept
+        if kept != event.kept and event.name != 'configure':
+            self._differ(f'the node had {event.kept} points, the replay has {kept}', event)
+
+    def _differ(self, what: str, event: OperatorEvent) -> None:
+        """Report the first difference; what follows it may differ as a result."""
+        if not self._differs:
+            self._differs = True
+            self.notes.append(f'not replayed exactly, from event {event.number} ({event.name}) on: '
+                              f'{what}')
