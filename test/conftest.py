@@ -35,7 +35,8 @@ NEEDS = {
     'msg_adapters/test_segmentation.py': 'SimpleITK',
     'msg_adapters/test_slicer_transform.py': 'SimpleITK',
     'msg_adapters/test_vtk_mesh.py': 'vtk', 'node': 'rclpy', 'ros': 'rclpy',
-    'ros/test_igtl_bridge.py': 'pyigtl',
+    'ros/test_console_in_browser.py': 'playwright', 'ros/test_igtl_bridge.py': 'pyigtl',
+    'visualization/test_console_page.py': 'playwright',
     'visualization/test_picture.py': 'matplotlib', 'visualization/test_report.py': 'plotly'}
 
 

@@ -24,6 +24,9 @@ from gsdf_registration.visualization.console_scene import ConsoleScene, Landmark
 from msg_adapters.marker_cdr import Marker
 
 
+PANEL = 385     # px, width of the panel on a wide screen
+
+
 @dataclass(frozen=True)
 class Action:
     """
@@ -136,7 +139,9 @@ class ConsolePage:
         self._set('tracking', console_panel.tracking(tracker, self._values))
 
     def show_answer(self, success: bool, sentence: str) -> None:
-        """Show the answer to an action to everybody."""
+        """Show the answer to an action to everybody; of a success the first part is enough."""
+        if success:
+            sentence = sentence.split('; ')[0]
         for client in self.server.get_clients().values():
             client.add_notification('Done' if success else 'Not done', sentence,
                                     auto_close_seconds=8.0 if success else 20.0,
@@ -154,14 +159,17 @@ class ConsolePage:
 
     def _build(self) -> None:
         gui = self.server.gui
-        gui.configure_theme(dark_mode=True, control_layout='collapsible', control_width='large',
-                            show_logo=False, show_share_button=False, brand_color=(108, 182, 255))
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False,
+                            brand_color=(108, 182, 255))
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL)
         gui.set_panel_label('Bone registration')
         gui.add_html(console_panel.STYLE)
         self._html: dict[str, Any] = {'verdict': gui.add_html('')}
         self._progress: Any = gui.add_progress_bar(0.0, animated=True, visible=False)
         self._html['tracking'] = gui.add_html('')
         self._add_buttons(often=True)
+        self._html['hints'] = gui.add_html('')
         tabs = gui.add_tab_group()
         for name, label in (('accuracy', 'Accuracy'), ('counters', 'Points'),
                             ('landmarks', 'Landmarks'), ('verification', 'Verify')):
@@ -196,7 +204,8 @@ class ConsolePage:
         for letters in (('A', 'P', 'L'), ('R', 'S', 'I')):
             group = gui.add_button_group('From', letters)
             group.on_click(lambda event: self._look(event, event.target.value))
-        gui.add_button('From the probe').on_click(lambda event: self._look(event, 'probe'))
+        gui.add_button('From the probe', color='gray').on_click(
+            lambda event: self._look(event, 'probe'))
         self._alert = gui.add_checkbox('Flash when ready', False)
 
     def _look(self, event: Any, view: str) -> None:
@@ -238,6 +247,7 @@ class ConsolePage:
         self._set('verdict', console_panel.verdict(values, self._message,
                                                    self._flash and self._alert.value))
         self._set('tracking', console_panel.tracking(self._tracker, values))
+        self._set('hints', console_panel.hints(values, self._message))
         self._set('accuracy', console_panel.accuracy(known, self._limits))
         self._set('landmarks', console_panel.landmarks(known, list(self._places.names)))
         self._set('verification', console_panel.verification(known, self._limits))
@@ -266,7 +276,7 @@ class ConsolePage:
             for number, sentence in rows.items():
                 self._stroke_handles.append(gui.add_html(console_panel.stroke(sentence)))
                 if not self._view_only:
-                    button = gui.add_button(f'Exclude stroke {number}')
+                    button = gui.add_button(f'Exclude stroke {number}', color='gray')
                     button.on_click(partial(self._press_drop, number))
                     self._stroke_handles.append(button)
 

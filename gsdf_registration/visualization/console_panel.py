@@ -66,7 +66,8 @@ STYLE = """<style>
 .gsdf .flash { animation: gsdf-flash 1s 3 }
 @keyframes gsdf-flash { 50% { background: #4cc38a66 } }
 .mantine-Button-root { min-height: 46px; font-size: 15px; padding-inline: 6px }
-.mantine-Tabs-tab { min-height: 44px; padding: 8px 6px !important }
+[role="tab"] { min-height: 44px; padding: 0 7px !important }
+[role="tablist"] { background-size: 100% 44px !important }
 .mantine-Checkbox-body { min-height: 44px; align-items: center }
 div:has(> .mantine-Button-root[id]) { display: inline-block; width: calc(50% - 16px);
   margin: 0 0 0 10px !important }
@@ -102,11 +103,7 @@ class Tracker:
 
 
 def verdict(values: Values | None, message: str = '', flash: bool = False) -> str:
-    """
-    Return the headline and the sentence of a status; None: the node is not connected.
-
-    The first part of the sentence is the verdict. What follows are hints, in smaller letters.
-    """
+    """Return the headline and the first part of a message; None: the node is not connected."""
     if values is None:
         return _page(f'<div class="big bad">{UNKNOWN[0]}</div>')
     words, tone = HEADLINES.get(values.get('state', ''), UNKNOWN)
@@ -118,11 +115,15 @@ def verdict(values: Values | None, message: str = '', flash: bool = False) -> st
     lost = f'<div class="warn">No pose: {escape(withdrawn.replace("_", " "))}</div>' if (
         withdrawn and values.get('pose') == 'none') else ''
     shine = ' flash' if flash else ''
-    first, *hints = message.split('; ')
+    first = _parts(values, message)[:1]
     return _page(f'<div class="big {tone}{shine}">{escape(words)}</div>{lost}'
-                 f'<div>{escape(_capitalized(first))}</div>'
-                 + ''.join(f'<div class="hint">{escape(_capitalized(hint))}</div>'
-                           for hint in hints))
+                 f'<div>{escape("".join(first))}</div>')
+
+
+def hints(values: Values | None, message: str) -> str:
+    """Return the other parts of a message, in smaller letters."""
+    return _page(''.join(f'<div class="hint">{escape(part)}</div>'
+                         for part in _parts(values or {}, message)[1:]))
 
 
 def labels(values: Values) -> dict[str, str]:
@@ -235,6 +236,13 @@ def verification(values: Values, limits: Limits) -> str:
         return _page('<span class="quiet">No verification points yet: hold the tip on the bone and '
                      'press Verify</span>')
     return _page(''.join(rows) + f'<div class="hint">{escape(_capitalized(sentence))}</div>')
+
+
+def _parts(values: Values, message: str) -> list[str]:
+    """Return the parts of a message, without a first one that repeats the headline."""
+    parts = [_capitalized(part) for part in message.split('; ') if part]
+    headline = HEADLINES.get(values.get('state', ''), UNKNOWN)[0]
+    return parts[1:] if parts[:1] == [headline] else parts
 
 
 def _page(content: str) -> str:

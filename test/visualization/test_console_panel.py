@@ -24,11 +24,17 @@ def words(html: str) -> str:
     return ' '.join(re.sub(r'<[^>]+>', ' ', html).split())
 
 
-def test_the_verdict_comes_in_words() -> None:
-    shown = console_panel.verdict(REGISTERED, 'pose found from 601 of 619 points; start the tracker')
-    assert words(shown) == ('Registered: grade B Pose found from 601 of 619 points '
-                            'Start the tracker')
-    assert '<div class="hint">Start the tracker</div>' in shown
+def test_the_verdict_comes_in_words_and_hints_come_apart_from_it() -> None:
+    message = 'pose found from 601 of 619 points; start the tracker; move on'
+    shown = words(console_panel.verdict(REGISTERED, message))
+    assert shown == 'Registered: grade B Pose found from 601 of 619 points'
+    assert words(console_panel.hints(REGISTERED, message)) == 'Start the tracker Move on'
+
+
+def test_a_message_does_not_repeat_the_headline() -> None:
+    collecting = {'state': 'collecting'}
+    shown = words(console_panel.verdict(collecting, 'collecting; 7 points in 1 stroke'))
+    assert shown == 'Collecting 7 points in 1 stroke'
 
 
 @pytest.mark.parametrize(('state', 'headline'), [

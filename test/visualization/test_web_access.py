@@ -11,7 +11,6 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.visualization import web_access
 from gsdf_registration.visualization.web_access import (
     COOKIE,
     Gate,
@@ -88,6 +87,6 @@ def test_an_address_in_use_is_reported(gate: Gate) -> None:
 
 
 def test_says_what_to_install_without_viser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web_access.importlib.util, 'find_spec', lambda name: None)
+    monkeypatch.setattr('importlib.util.find_spec', lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'gsdf_registration\[console\]'"):
         require_viser()
