@@ -27,6 +27,7 @@ HEADLINES = {
     'refused': ('Refused', 'warn'),
 }
 UNKNOWN = ('No connection to the node', 'bad')
+VERDICT = 2         # parts of a message below the headline; the others are hints
 
 # cause of rejection -> words; others are shown with spaces instead of underscores
 CAUSES = {
@@ -44,6 +45,7 @@ CAUSES = {
     'too_fast': 'jumped',
     'lost': 'lost on the network',
     'full': 'no more room',
+    'undone': 'in strokes that were dropped',
 }
 
 # Put once into the page. Below 576 px, viser shows the panel as a sheet at the bottom, over the
@@ -103,7 +105,7 @@ class Tracker:
 
 
 def verdict(values: Values | None, message: str = '', flash: bool = False) -> str:
-    """Return the headline and the first part of a message; None: the node is not connected."""
+    """Return the headline and the start of a message; None: the node is not connected."""
     if values is None:
         return _page(f'<div class="big bad">{UNKNOWN[0]}</div>')
     words, tone = HEADLINES.get(values.get('state', ''), UNKNOWN)
@@ -115,15 +117,15 @@ def verdict(values: Values | None, message: str = '', flash: bool = False) -> st
     lost = f'<div class="warn">No pose: {escape(withdrawn.replace("_", " "))}</div>' if (
         withdrawn and values.get('pose') == 'none') else ''
     shine = ' flash' if flash else ''
-    first = _parts(values, message)[:1]
     return _page(f'<div class="big {tone}{shine}">{escape(words)}</div>{lost}'
-                 f'<div>{escape("".join(first))}</div>')
+                 + ''.join(f'<div>{escape(part)}</div>'
+                           for part in _parts(values, message)[:VERDICT]))
 
 
 def hints(values: Values | None, message: str) -> str:
-    """Return the other parts of a message, in smaller letters."""
+    """Return the rest of a message, in smaller letters."""
     return _page(''.join(f'<div class="hint">{escape(part)}</div>'
-                         for part in _parts(values or {}, message)[1:]))
+                         for part in _parts(values or {}, message)[VERDICT:]))
 
 
 def labels(values: Values) -> dict[str, str]:

@@ -41,7 +41,7 @@ class Operated:
         self.page = ConsolePage(self._press, self._press, port=free_port(), view_only=view_only)
         vertices, faces = surface
         touch, normal = vertices[:1], np.array([[0.0, -1.0, 0.0]])
-        self.page.show_status(STATUS, 'enough points; the clock is late')
+        self.page.show_status(STATUS, 'enough points; register now; the clock is late')
         self.page.show_settings(Limits(0.002, 0.002, 0.002),
                                 LandmarkPlaces(('tip', 'neck'), ((0.0, 0.0, 0.0),) * 2))
         self.page.show_markers([

@@ -25,9 +25,9 @@ def words(html: str) -> str:
 
 
 def test_the_verdict_comes_in_words_and_hints_come_apart_from_it() -> None:
-    message = 'pose found from 601 of 619 points; start the tracker; move on'
+    message = 'pose found from 601 points; accurate to 2 mm; start the tracker; move on'
     shown = words(console_panel.verdict(REGISTERED, message))
-    assert shown == 'Registered: grade B Pose found from 601 of 619 points'
+    assert shown == 'Registered: grade B Pose found from 601 points Accurate to 2 mm'
     assert words(console_panel.hints(REGISTERED, message)) == 'Start the tracker Move on'
 
 
