@@ -9,13 +9,18 @@ import argparse
 import sys
 
 import rclpy
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 
 from gsdf_registration_msgs.msg import RegistrationResult
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# The lease: a node that was killed is noticed within 3 s
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL,
+                     liveliness=LivelinessPolicy.AUTOMATIC,
+                     liveliness_lease_duration=Duration(seconds=3.0))
 PERIOD = 0.1        # s between two looks at the publishers
 PATIENCE = 10.0     # s without a publisher after which the client says so
 
@@ -43,7 +48,9 @@ class Robot(Node):
         self.topic, self.max_tre, self.grades = f'{target}/result', max_tre, grades
         self.moving = False
         self.missing = 0        # looks without a publisher
-        self.create_subscription(RegistrationResult, self.topic, self.on_result, LATCHED)
+        self.create_subscription(
+            RegistrationResult, self.topic, self.on_result, LATCHED,
+            event_callbacks=SubscriptionEventCallbacks(liveliness=self.on_liveliness))
         self.create_timer(PERIOD, self.check_publisher)
 
     def on_result(self, result: RegistrationResult) -> None:
@@ -55,11 +62,14 @@ class Robot(Node):
         else:
             self.start(result)
 
-    def check_publisher(self) -> None:
-        """Stop when the node is gone: a process that ends at once withdraws nothing."""
-        self.missing = 0 if self.count_publishers(self.topic) else self.missing + 1
-        if self.missing:
+    def on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
+        """Stop when the node is gone: a process that is killed withdraws nothing."""
+        if event.alive_count == 0:
             self.stop('the registration node is gone')
+
+    def check_publisher(self) -> None:
+        """Say so if there is no node."""
+        self.missing = 0 if self.count_publishers(self.topic) else self.missing + 1
         if self.missing == round(PATIENCE / PERIOD):
             print(f'nobody publishes {self.topic}: is the node started, in this ROS domain, and '
                   'was it built with gsdf_registration_msgs?', file=sys.stderr)

@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Use the pose of a bone while it is valid and accurate enough: replace start and stop by a motion.
-#include <chrono>
 #include <memory>
 #include <string>
 #include "gsdf_registration_msgs/msg/registration_result.hpp"
 #include "rclcpp/rclcpp.hpp"
 using gsdf_registration_msgs::msg::RegistrationResult;
-
 class Robot : public rclcpp::Node
 {
 public:
@@ -14,16 +12,19 @@ public:
   : Node("robot"), max_tre_(declare_parameter("max_tre", 0.001)),     // m
     grades_(declare_parameter("grades", std::string("AB")))
   {
+    const auto lease = rclcpp::Duration::from_seconds(3.0);     // to notice a node that was killed
+    const auto qos = rclcpp::QoS(1).reliable().transient_local().liveliness(
+      rclcpp::LivelinessPolicy::Automatic).liveliness_lease_duration(lease);
+    rclcpp::SubscriptionOptions options;
+    options.event_callbacks.liveliness_callback = [this](rclcpp::QOSLivelinessChangedInfo & event) {
+        if (event.alive_count == 0) {stop("the registration node is gone");}
+      };
     subscription_ = create_subscription<RegistrationResult>(
-      "registration/result", rclcpp::QoS(1).reliable().transient_local(),
-      [this](const RegistrationResult & result) {
+      "registration/result", qos, [this](const RegistrationResult & result) {
         const std::string reason = problem(result);
         stop(reason.empty() ? "the bone was registered again" : reason);
         if (reason.empty()) {start(result);}
-      });
-    timer_ = create_wall_timer(std::chrono::milliseconds(100), [this]() {   // of a crashed node
-      if (subscription_->get_publisher_count() == 0) {stop("the registration node is gone");}
-    });
+      }, options);
   }
 private:
   std::string problem(const RegistrationResult & result) const
@@ -50,7 +51,6 @@ private:
   std::string grades_;
   bool moving_ = false;
   rclcpp::Subscription<RegistrationResult>::SharedPtr subscription_;
-  rclcpp::TimerBase::SharedPtr timer_;
 };
 int main(int argc, char ** argv)
 {

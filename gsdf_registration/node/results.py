@@ -12,7 +12,7 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import NextTouch, RegistrationResult
 from gsdf_registration.common.withdrawal import Withdrawal
-from gsdf_registration.node.qos import LATCHED, UNWATCHED
+from gsdf_registration.node.qos import LATCHED, RESULT, UNWATCHED
 from gsdf_registration.session import Session
 from gsdf_registration.session.status import Status
 from msg_adapters import results, ros
@@ -33,15 +33,15 @@ class ResultPublishers:
     def __init__(self, node: LifecycleNode, config: Config) -> None:
         self._node, self._bone_frame = node, config.bone_frame
         self._publishers: list[LifecyclePublisher] = []
-        self._guidance: tuple[Any, ...] = ('', )       # published last
+        self._guidance: tuple[Any, ...] = ()       # published last
         if not results.available():
             node.get_logger().warning(MISSING, once=True)
             return
         kinds = results.message_types()
         self._publishers = [
-            node.create_lifecycle_publisher(kind, topic, LATCHED, event_callbacks=UNWATCHED)
-            for kind, topic in ((kinds.RegistrationResult, '~/result'),
-                                (kinds.Guidance, '~/guidance'))]
+            node.create_lifecycle_publisher(kind, topic, qos, event_callbacks=UNWATCHED)
+            for kind, topic, qos in ((kinds.RegistrationResult, '~/result', RESULT),
+                                     (kinds.Guidance, '~/guidance', LATCHED))]
 
     def publish(self, status: Status) -> None:
         """Publish the accepted registration, or why there is none."""

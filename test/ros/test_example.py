@@ -16,6 +16,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 from rclpy.task import Future
 from ros_support import ROOT, Tracker
 from std_srvs.srv import Trigger
@@ -23,7 +24,7 @@ from std_srvs.srv import Trigger
 from gsdf_registration.clients.operator import Operator
 from gsdf_registration.common.result import Reason, RegistrationResult, Zone
 from gsdf_registration.common.withdrawal import Withdrawal
-from gsdf_registration.node.qos import LATCHED
+from gsdf_registration.node.qos import LATCHED, RESULT
 from msg_adapters import results, ros
 
 pytestmark = pytest.mark.ros
@@ -131,8 +132,12 @@ def test_robot_moves_only_while_the_pose_is_valid_and_accurate(
     from gsdf_registration_msgs.msg import RegistrationResult as ResultMessage
 
     header = results.ResultHeader(ros.seconds_to_stamp(1.0), 'tracker', 'bone', 'a1', 7)
-    publisher = fake.node.create_publisher(ResultMessage, '/fake/result', LATCHED)
+    publisher = fake.node.create_publisher(ResultMessage, '/fake/result', RESULT)
     robot = start_example('robot_client.py', '/fake', '--max-tre', '0.001', '--grades', 'A')
+    fake.spin_until(lambda: publisher.get_subscription_count() > 0, 'the robot does not subscribe')
+    asked, = fake.node.get_subscriptions_info_by_topic('/fake/result')
+    offered = RESULT.liveliness_lease_duration      # a node that is killed is noticed
+    assert offered <= asked.qos_profile.liveliness_lease_duration <= Duration(seconds=5.0)
 
     def found(tre: float, grade: str = 'A') -> ResultMessage:
         return results.result_msg(RegistrationResult(

@@ -21,6 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from gsdf_registration.clients.operator import LATCHED
 from gsdf_registration.common.withdrawal import Withdrawal
+from gsdf_registration.node.qos import RESULT
 from msg_adapters import results, ros
 
 pytestmark = [
@@ -133,6 +134,7 @@ def drop_last_stroke(client: Client) -> Any:
 
 def test_pose_is_published_until_it_is_withdrawn(start_node: StartNode, tmp_path: Path,
                                                  parameters: dict[str, Any]) -> None:
+    from gsdf_registration_msgs.msg import Guidance
     from gsdf_registration_msgs.srv import DropStroke, Register
     saved, empty = tmp_path / 'saved.json', tmp_path / 'empty.json'
     node = start_node('lifetime', **parameters | {
@@ -142,6 +144,10 @@ def test_pose_is_published_until_it_is_withdrawn(start_node: StartNode, tmp_path
         air = Air(client, 'lifetime')
         start = air.expect(lambda each: True, 'there is no result at the start')
         assert (start.valid, start.reason) == (False, start.NOT_REGISTERED)
+        guidance = client.receive(Guidance, '~/guidance')   # of an earlier process is replaced
+        assert not guidance.points and not guidance.sentence
+        offered, = client.node.get_publishers_info_by_topic('/lifetime/result')
+        assert offered.qos_profile.liveliness_lease_duration == RESULT.liveliness_lease_duration
         tracker = Tracker(client, ['/probe/tip'])
         tracker.await_listener()
         names = parameters['landmarks.names']
