@@ -12,11 +12,14 @@ import pytest
 
 from gsdf_registration.cli.main import main
 from gsdf_registration.cli.simulate import ARRAY_TOPIC, REGIONS
+from gsdf_registration.cli.simulate_tool import TOPICS
 from gsdf_registration.cli.simulation_options import ARRAY_FRAME, STRUCTURED
 from gsdf_registration.common.rigid import inverse, transform
+from gsdf_registration.common.tool_pose import tip_positions
+from gsdf_registration.simulation.ball_tip import BallContact
 from gsdf_registration.simulation.interference import Interference
 from gsdf_registration.simulation.regions import RADIUS
-from msg_adapters.bag import read_bag
+from msg_adapters.bag import list_topics, read_bag
 from msg_adapters.truth import read_truth
 
 
@@ -86,7 +89,54 @@ def test_registers_a_moving_patient_in_the_frame_of_the_array(
     assert 'true error' in printed[1] and 'true error' not in printed[0]
 
 
+def test_writes_poses_of_a_tool_and_the_calls_of_the_operator(
+        femur_bone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ['--tool-poses', '--points', '100', '--rate', '40', '--pivoting', '6', '--swinging',
+               '6', '--tip', '0,0,200', '--tip-radius', '1', '--landmark', 'trochlea=2.4,27.9,52.8']
+    assert simulate(femur_bone, tmp_path / 'run', *options, region='condyles') == 0
+    assert '100 samples on the bone, 1 landmark;' in capsys.readouterr().out
+    truth = read_truth(tmp_path / 'run.yaml')
+    counts = {topic.name: topic.messages for topic in list_topics(tmp_path / 'run')}
+    assert set(counts) == set(TOPICS.values())
+    assert counts['/probe/pivoting'] == counts['/array/swinging'] == 240
+    recording = read_bag(tmp_path / 'run', ['/probe/pivoting'])
+    assert recording.tools is not None
+    tips = tip_positions(recording.tools, truth.about['tip'])
+    assert np.linalg.norm(tips - truth.about['pivot'], axis=1).max() < 3e-3
+    assert truth.frame_id == ARRAY_FRAME and truth.about['tip'] == [0.0, 0.0, 0.2]
+    head = truth.about['hip_centre']
+    np.testing.assert_allclose(transform(truth.T_tracker_bone, head['model']), head['array'],
+                               atol=1e-6)
+    np.testing.assert_allclose(head['model'], [-0.005, 0.011, 0.414], atol=1e-3)
+    assert [call[1] for call in truth.about['calls']] == [
+        'calibrate_tip', 'calibrate_tip', 'find_joint_centre', 'find_joint_centre',
+        'capture_landmark', 'collect', 'collect', 'register']
+
+
+def test_gaps_cartilage_soft_tissue_and_a_ball_tip_are_for_positions_too(
+        hip_bone: Path, hip_surface: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> None:
+    options = ['--points', '300', '--rate', '40', '--sigma', '0.05', '--tip-radius', '1',
+               '--cartilage', '--soft-tissue', '1', '--gaps', '30', '--pause', '2,3']
+    assert simulate(hip_bone, tmp_path / 'run', *options) == 0
+    recording, truth = read_bag(tmp_path / 'run'), read_truth(tmp_path / 'run.yaml')
+    assert len(recording) < 300
+    tips = transform(inverse(truth.T_tracker_bone), recording.positions)
+    heights = BallContact(*hip_surface).distance(tips)[0]
+    assert 0.0015 < np.median(heights) < 0.004 and heights.min() > 0.0008
+
+
 @pytest.mark.parametrize('options, sentence', [
+    (['--pivoting', '5'], '--pivoting needs --tool-poses'),
+    (['--tool-poses', '--swinging', '5'], 'no head'),
+    (['--tool-poses', '--tip', '1,2'], '--tip must be 3 numbers'),
+    (['--tool-poses', '--pivoting', '-5'], '--pivoting must be at least 0'),
+    (['--tool-poses', '--orientation-noise', 'nan'], '--orientation-noise must be at least 0'),
+    (['--tip-radius', '-1'], 'radius of the tip must be 0 to 10 mm'),
+    (['--soft-tissue', '50'], 'thickness of soft tissue must be 0 to 10 mm'),
+    (['--gaps', '-1'], '--gaps must be at least 0'),
+    (['--pause', '2,1'], '--pause must be two rising times'),
+    (['--stroke', '0'], '--stroke must be at least 1'),
+    (['--unsteadiness', '-1'], '--unsteadiness must be at least 0'),
     (['--move', '20'], '--move must be 2 numbers'),
     (['--move', '20,-1'], '--move must not be negative'),
     (['--interference', 'gremlins:0.1'], '"gremlins" is unknown'),

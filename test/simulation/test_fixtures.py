@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from exact import distances
 
-from gsdf_registration.common.rigid import inverse, transform
+from gsdf_registration.common.rigid import angle_between, inverse, transform
 from msg_adapters.bag import LANDMARK_TOPIC, read_bag
 from msg_adapters.recording import Recording
-from msg_adapters.truth import Truth
+from msg_adapters.tool_poses import read_tool_poses
+from msg_adapters.truth import Truth, read_truth
 
 CHECKOUT = Path(__file__).parents[2]
 Surface = tuple[np.ndarray, np.ndarray]
+PROBE, ARRAY = '/probe/measured_cp', '/array/measured_cp'
 
 
 def test_bags_are_reproduced_bit_for_bit(bags: Path, tmp_path: Path) -> None:
@@ -76,3 +78,32 @@ def test_optical_landmarks_precede_the_scan(optical_recording: tuple[Recording, 
     touches = np.split(landmarks.positions, np.flatnonzero(np.diff(landmarks.stamps) > 1.0) + 1)
     np.testing.assert_allclose([positions.mean(axis=0) for positions in touches],
                                optical_recording[1].landmarks_tracker, atol=2e-5)
+
+
+def test_tool_poses_are_on_the_bone_seen_from_the_moving_array(
+        bags: Path, femur_surface: Surface) -> None:
+    bag, truth = bags / 'femur_tool', read_truth(bags / 'femur_tool.yaml')
+    probe, array = read_tool_poses(bag, topic=PROBE), read_tool_poses(bag, topic=ARRAY)
+    _, rows, at = np.intersect1d(probe.stamps, array.stamps, return_indices=True)
+    assert 0.9 * len(probe.stamps) < len(rows) < len(probe.stamps)      # both drop out
+    T = np.linalg.inv(array.T_tracker_body[at]) @ probe.T_tracker_body[rows]
+    tips = transform(inverse(truth.T_tracker_bone),
+                     T[:, :3, :3] @ truth.about['tip'] + T[:, :3, 3])
+    vertices, faces = femur_surface
+    off = distances(tips, vertices[faces], within=0.01) - 1e-3 * truth.about['tip_radius']
+    on = np.abs(off) < 0.002
+    assert 0.55 < on.mean() < 0.8       # the rest is in the air
+    assert 1e-4 < np.sqrt((off[on] ** 2).mean()) < 8e-4
+    assert np.diff(array.stamps).max() > 0.1        # a gap
+    moved = array.T_tracker_body[:, :3, 3]
+    assert 0.02 < np.linalg.norm(moved - moved[0], axis=1).max() < 0.1
+
+
+def test_tool_poses_turn_about_divot_and_hip(bags: Path) -> None:
+    bag, about = bags / 'femur_tool', read_truth(bags / 'femur_tool.yaml').about
+    for topic, point, spread in (('/probe/pivoting', about['tip'], 1e-3),
+                                 ('/array/swinging', about['hip_centre']['array'], 5e-3)):
+        T = read_tool_poses(bag, topic=topic).T_tracker_body
+        places = T[:, :3, :3] @ point + T[:, :3, 3]
+        assert np.linalg.norm(places - places.mean(axis=0), axis=1).mean() < spread
+        assert angle_between(T[0, :3, :3], T[len(T) // 2, :3, :3]) > np.radians(5.0)
