@@ -23,7 +23,6 @@ from gsdf_registration.common.samples import Sample, SampleSink
 from gsdf_registration.node import transforms
 from gsdf_registration.node.hints import Arrivals, type_name
 from gsdf_registration.node.lifecycle import RCLError
-from gsdf_registration.node.lost_messages import LostMessages
 from gsdf_registration.node.probe_topics import MESSAGES, POINT, type_to_receive
 from gsdf_registration.node.qos import POINTS, STEADY, UNWATCHED_POINTS
 from gsdf_registration.tracking.clock import BACK
@@ -31,6 +30,7 @@ from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters import ros
 from msg_adapters.motion import INVALID_TRANSFORM, TOOL_POSES, to_matrix
+from msg_adapters.ros_lost_messages import LostMessages
 
 PERIOD = 0.1        # s, between two checks for points that have waited too long
 IDLE_PERIOD = 1.0   # s, the same if no point can wait

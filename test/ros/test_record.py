@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``gsdf record`` records of an operation, ``gsdf replay`` replays to the bit."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.parameter import Parameter
+from ros_support import ROOT, NodeProcess, Tracker
+from rosbags.rosbag2 import Reader
+
+from msg_adapters import ros
+from msg_adapters.bag import list_topics, read_bag
+
+pytestmark = pytest.mark.ros
+STILL = np.eye(4)
+
+
+class RecorderProcess:
+    """``gsdf record`` in a process."""
+
+    def __init__(self, bag: Path, *topics: str) -> None:
+        self.bag = bag
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'gsdf_registration.cli.main', 'record', *topics, '-o', str(bag)],
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def await_topic(self, topic: str) -> None:
+        """Wait until it receives a topic."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if line.startswith(f'recording {topic} '):
+                return
+        pytest.fail(f'{topic} is not recorded')
+
+    def end(self, number: int = signal.SIGINT) -> tuple[int, str, str]:
+        """Stop it with a signal; return exit code and output."""
+        self.process.send_signal(number)
+        out, error = self.process.communicate(timeout=30.0)
+        return self.process.returncode, out, error
+
+
+@pytest.fixture
+def recorder(tmp_path: Path) -> Iterator[Callable[..., RecorderProcess]]:
+    running: list[RecorderProcess] = []
+
+    def start(*topics: str) -> RecorderProcess:
+        running.append(RecorderProcess(tmp_path / f'bag{len(running)}', *topics))
+        return running[-1]
+    yield start
+    for each in running:
+        if each.process.poll() is None:
+            each.process.kill()
+            each.process.wait()
+
+
+def replayed(bag: Path, tmp_path: Path, *options: str) -> dict:
+    """Return the JSON document of ``gsdf replay``."""
+    done = subprocess.run(
+        [sys.executable, '-m', 'gsdf_registration.cli.main', 'replay', str(bag), '--model',
+         str(ROOT / 'bags/hip.ply'), '--json', str(tmp_path / 'replay.json'), *options],
+        cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode in (0, 1), done.stderr
+    return {**json.loads((tmp_path / 'replay.json').read_text()), 'out': done.stdout}
+
+
+def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: Tracker,
+                                             recorder: Callable[..., RecorderProcess],
+                                             tmp_path: Path) -> None:
+    client, name = tracker.client, shared_node.name
+    running = recorder('/probe/tip', f'{name}/*')
+    running.await_topic('/probe/tip')
+    tracker.touch_landmarks(STILL)
+    client.collect(True)
+    tracker.send(tracker.positions[:250], tracker.steps[:250])
+    client.collect(False)       # at once: some points are on the way
+    client.collect(True)
+    tracker.send(tracker.positions[250:400] + 0.03, tracker.steps[250:400])
+    assert client.ask('undo').success       # a stroke that was not on the bone
+    # it changes which points are kept
+    assert not client.set_parameters(Parameter('gate.min_distance', value=0.001))
+    client.collect(True)
+    tracker.send(tracker.positions[250:], tracker.steps[250:])
+    answer = client.ask('register')         # while points are on the way
+    client.collect(False)
+    assert answer.success, answer.message
+
+    def verified() -> bool:
+        tracker.send(np.tile(tracker.positions[100], (50, 1)))
+        return client.ask('verify').message.startswith('the tip is')
+    client.spin_until(verified, 'nothing is verified')
+    pose = client.receive(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
+    status = client.status(state='registered')
+    assert not client.set_parameters(Parameter('gate.min_distance', value=0.0))
+    code, out, error = running.end()
+    assert code == 0 and 'nobody' not in error, out + error
+    events, tips = (next(line for line in out.splitlines() if line.startswith(f'{topic}: '))
+                    for topic in (f'{name}/events', '/probe/tip'))
+    assert 'lost' not in events + tips and 'written to' in out
+
+    recording = read_bag(running.bag, events=None)
+    assert recording.complete and recording.source_names == ['/probe/tip']
+    document = replayed(running.bag, tmp_path)
+    assert document['recording'] == {'complete': True, 'notes': []}
+    T = np.array(document['T_tracker_bone'])
+    again = ros.pose_with_covariance_msg(T, document['covariance'], pose.header.frame_id,
+                                         pose.header.stamp)
+    assert again == pose        # every bit of pose and covariance
+    found = document['points']
+    assert [str(found[key]) for key in ('used', 'inliers')] == [status['used'], status['inliers']]
+    # the counts add up in JSON, on the console and in the status
+    rejected = {f'rejected.{cause}': str(count) for cause, count in document['rejected'].items()}
+    left_out = {f'left_out.{cause}': str(count) for cause, count in found['left_out'].items()}
+    assert left_out.items() <= status.items() and rejected.keys() <= status.keys()
+    assert found['received'] == found['used'] + sum(found['left_out'].values()) + sum(
+        document['rejected'].values())
+    assert document['rejected']['undone'] > 0 < document['rejected']['touched']
+    assert int(status['received']) == int(status['kept']) + sum(
+        int(count) for key, count in status.items() if key.startswith('rejected.'))
+    assert f'{found["received"]} received, {found["used"]} used' in document['out']
+    alone = replayed(running.bag, tmp_path, '--events', 'none')
+    assert alone['points']['used'] > found['used']      # without the undo
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
+def test_a_recorder_that_is_ended_leaves_a_readable_bag(
+        number: int, shared_node: NodeProcess, tracker: Tracker,
+        recorder: Callable[..., RecorderProcess]) -> None:
+    running = recorder('/probe/tip', '/nobody')
+    running.await_topic('/probe/tip')
+    file = running.bag / f'{running.bag.name}.mcap'
+    size = file.stat().st_size
+    tracker.send(tracker.positions[:100])
+
+    def written() -> bool:
+        tracker.send(tracker.positions[:1])
+        return file.stat().st_size > size
+    tracker.client.spin_until(written, 'nothing is written to the disk')
+    code, _, error = running.end(number)
+    points = read_bag(running.bag)
+    assert len(points) >= 50
+    np.testing.assert_array_equal(points.positions[:50], tracker.positions[:50])
+    if number == signal.SIGKILL:
+        assert not points.complete and any('killed' in note for note in points.notes)
+        return
+    assert code == 0 and points.complete and '/nobody: nobody published it' in error
+    with Reader(running.bag) as reader:     # rosbags reads index and metadata
+        assert reader.message_count == len(points)
+    assert [topic.name for topic in list_topics(running.bag)] == ['/probe/tip']
+
+
