@@ -188,8 +188,7 @@ class Session:
         """
         with self._lock:
             answer = self._state.set_initial_pose(T_tracker_bone, frame_id)
-            if not answer.success:
-                self._notices.set(answer.message, warning=True)
+            self._notices.set(answer.message, warning=not answer.success)
             return answer
 
     def initial_pose(self) -> Array | None:

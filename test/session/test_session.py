@@ -113,6 +113,8 @@ def test_an_initial_pose_is_the_first_guess(field: Field, monkeypatch: pytest.Mo
     send(session, surface_points(field, 2))
     assert not session.set_initial_pose(T_TRACKER_BONE, 'map').success
     assert session.status().warning and 'in frame "map"' in session.status().message
+    assert session.set_initial_pose(T_TRACKER_BONE, 'cam').success      # corrected
+    assert not session.status().warning and 'in frame "map"' not in session.status().message
 
 
 def test_reports_an_initial_pose_in_another_frame_than_the_first_point(field: Field) -> None:
