@@ -33,12 +33,12 @@ from gsdf_registration.node.qos import OFFERED, STEADY
 from gsdf_registration.node.services import Services
 from gsdf_registration.node.session_files import SessionFiles
 from gsdf_registration.node.sim_clock import SimClock
-from gsdf_registration.node.status import combined_status, not_active, sentence
 from gsdf_registration.node.tip import TipPublisher, create_tip_publisher
 from gsdf_registration.session import Session
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.session import restart_notice
 from gsdf_registration.session.status import Status
+from gsdf_registration.session.status_values import combined_status, not_active, sentence
 
 
 class RegistrationNode(PreparedLifecycleNode):

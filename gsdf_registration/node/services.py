@@ -22,12 +22,12 @@ from gsdf_registration.node.background import BackgroundThread
 from gsdf_registration.node.events import EventPublisher, request_values
 from gsdf_registration.node.progress import Progress
 from gsdf_registration.node.session_files import SessionFiles
-from gsdf_registration.node.status import pose_kept
 from gsdf_registration.node.typed_services import typed_services
 from gsdf_registration.session import Session
 from gsdf_registration.session.calibration import CalibrationKind
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.status import Status
+from gsdf_registration.session.status_values import pose_kept
 from gsdf_registration.tracking.pivot import FixedPoint
 from msg_adapters import results
 

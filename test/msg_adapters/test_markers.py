@@ -12,8 +12,8 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.node.scene import MAX_FACES
 from gsdf_registration.visualization.decimation import decimate
+from gsdf_registration.visualization.marker_scene import MAX_FACES
 from msg_adapters import markers
 from msg_adapters.marker_cdr import Shape, from_bytes, to_bytes
 

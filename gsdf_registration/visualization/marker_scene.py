@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The 3D scene as markers in the bone frame: the bone, its zone, points and places to touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gsdf_registration.common.config import LimitsConfig
+from gsdf_registration.common.result import NextTouch
+from gsdf_registration.common.rigid import Array, inverse, transform
+from gsdf_registration.field import Field
+from gsdf_registration.registration.confidence import error_bound
+from gsdf_registration.registration.guidance import PATCH
+from gsdf_registration.registration.point_selection import evenly_spread
+from gsdf_registration.visualization import colours
+from gsdf_registration.visualization.decimation import Faces, drawn_surface
+from gsdf_registration.visualization.zone_border import border_segments
+from msg_adapters import markers
+from msg_adapters.marker_cdr import Marker
+
+MAX_FACES = 12_000      # of the bone: at 120 bytes each, a message stays below 2 MB
+MAX_POINTS = 20_000     # drawn as markers, evenly spread over all; at 40 bytes each
+
+
+class MarkerScene:
+    """Makes the markers of complete scenes; it keeps the decimated surface of the last bone."""
+
+    def __init__(self) -> None:
+        self._surface: tuple[str, Array, Faces] | None = None   # with the hash of its bone
+
+    def bone(self, field: Field, next_touches: Sequence[NextTouch] = ()) -> list[Marker]:
+        """Return the bone and where to touch next, without points: there is no pose for them."""
+        empty = np.zeros((0, 3))
+        vertices, faces = self._drawn_surface(field)
+        plain = np.tile(colours.rgb(colours.ERROR[0]), (len(vertices), 1))
+        return (markers.bone(vertices, faces, plain)
+                + markers.border(np.zeros((0, 2, 3)), plain) + markers.points(empty, empty)
+                + _patches(next_touches))
+
+    def pose(self, field: Field, limits: LimitsConfig, T_tracker_bone: Array, covariance: Array,
+             positions: Array, residuals: Array, weights: Array,
+             next_touches: Sequence[NextTouch]) -> list[Marker]:
+        """
+        Return the bone with its error and the zone, the points on it, and where to touch next.
+
+        Parameters
+        ----------
+        field : Field
+            For the tip of the probe; points are drawn where the tip touches the bone.
+        limits : LimitsConfig
+            Scales of the colours.
+        T_tracker_bone : (4, 4) float
+        covariance : (6, 6) float
+            Of the pose, REP-103 order.
+        positions : (n, 3) float, m, tracker frame
+        residuals, weights : (n,)
+            Of the points; residuals in m, NaN if unknown.
+        next_touches : sequence of NextTouch
+            Best first.
+
+        """
+        shown = evenly_spread(np.arange(len(positions)), MAX_POINTS)
+        on_bone = field.contacts(transform(inverse(T_tracker_bone), positions[shown]))
+        vertices, faces = self._drawn_surface(field)
+        error = error_bound(T_tracker_bone, covariance, vertices)
+        return (markers.bone(vertices, faces, colours.error_colours(error, limits))
+                + markers.border(border_segments(vertices, faces, error, limits.max_error),
+                                 colours.rgb(colours.BORDER))
+                + markers.points(on_bone, colours.residual_colours(
+                    residuals[shown], weights[shown], limits))
+                + _patches(next_touches))
+
+    def _drawn_surface(self, field: Field) -> tuple[Array, Faces]:
+        if self._surface is None or self._surface[0] != field.bone_sha256:
+            self._surface = (field.bone_sha256, *drawn_surface(field, MAX_FACES))
+        return self._surface[1:]
+
+
+def _patches(next_touches: Sequence[NextTouch]) -> list[Marker]:
+    """Return markers of the places to touch next, numbered, with the expected gain."""
+    labels = [f'{number}: {touch.label}' for number, touch in enumerate(next_touches, start=1)]
+    return markers.patches(np.array([touch.position for touch in next_touches]).reshape(-1, 3),
+                           np.array([touch.normal for touch in next_touches]).reshape(-1, 3),
+                           PATCH, labels, colours.rgb(colours.NEXT))
