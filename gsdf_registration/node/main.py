@@ -67,8 +67,10 @@ class _Spinner(threading.Thread):
         from rclpy.signals import SignalHandlerOptions
 
         from gsdf_registration.common.result import InputError
+        from gsdf_registration.node.log_folder import choose_log_folder
         from gsdf_registration.node.node import RegistrationNode
 
+        choose_log_folder()
         try:
             rclpy.init(args=self._args, signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:       # a parameter file or argument that ROS cannot parse
