@@ -66,7 +66,8 @@ def workspace(request: pytest.FixtureRequest, source_copy: Path,
 
 def test_executables_are_where_ros2_run_finds_them(workspace: Workspace) -> None:
     folder = workspace.prefix / 'lib/gsdf_registration'
-    assert {file.name for file in folder.iterdir()} == {'gsdf', 'registration_node'}
+    assert {file.name for file in folder.iterdir()} == {
+        'gsdf', 'registration_console', 'registration_node'}
     assert all(os.access(file, os.X_OK) for file in folder.iterdir())
 
 
