@@ -194,6 +194,23 @@ class Zone:
 
 
 @dataclass(frozen=True)
+class ConsideredPoses:
+    """
+    What led to the outcome, for pictures only: a pose that was refused must not be used.
+
+    T_tracker_bone : (4, 4) float, m, the best pose found
+    covariance : (6, 6) float, as in `RegistrationResult`; None if the points do not constrain it
+    rivals : of (4, 4) float, T_tracker_bone, poses that fit the points about equally well
+    next_touches : of NextTouch, places where a touch would help, best first
+    """
+
+    T_tracker_bone: Array
+    covariance: Array | None = None
+    rivals: tuple[Array, ...] = ()
+    next_touches: tuple[NextTouch, ...] = ()
+
+
+@dataclass(frozen=True)
 class RegistrationResult:
     """
     The outcome of `register`.
@@ -213,6 +230,9 @@ class RegistrationResult:
     # points passed in but not used, by cause: isolated, repeated, resting (samples of a rest, of
     # which one counts), moving (between touches), downsampled
     left_out: dict[str, int] = field(default_factory=dict)
+    # samples received before it that the session did not keep, by cause. Every sample is counted
+    # once: received = used + all that are left out + all that are rejected
+    rejected: dict[str, int] = field(default_factory=dict)
     # estimated noise of a point along the surface normal
     sigma_m: float | None = None
     # of the inliers; this is not the accuracy (Fitzpatrick 2009)
@@ -228,6 +248,7 @@ class RegistrationResult:
     residuals_m: Array | None = None            # (used,) signed distances at the pose
     weights: Array | None = None                # (used,) in [0, 1]
     history: tuple[Iteration, ...] = ()
+    considered: ConsideredPoses | None = None   # None if it stopped before it found a pose
 
     @property
     def success(self) -> bool:
@@ -254,4 +275,5 @@ class RegistrationResult:
     def refused(cls, reason: Reason, message: str, received: int = 0) -> RegistrationResult:
         """Return the result of a registration that stopped before it found a candidate pose."""
         assert reason is not Reason.CONVERGED
-        return cls(reason, message, received=received)
+        return cls(reason, message, received=received,
+                   left_out={'not_used': received} if received else {})

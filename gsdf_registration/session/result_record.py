@@ -16,15 +16,15 @@ from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array, is_rigid
 
 # fields of a result that a record leaves out; the first two are columns of `points`
-PER_POINT = ('residuals_m', 'weights', 'history')
+NOT_RECORDED = ('residuals_m', 'weights', 'history', 'considered')
 _SHAPES = {'T_tracker_bone': (4, 4), 'covariance': (6, 6)}      # others: (3,)
 _LARGEST_COUNT = 2**31
 Record = TypeVar('Record')
 
 
 def result_to_dict(result: RegistrationResult | None) -> dict[str, Any] | None:
-    """Return a result in plain values, without the fields per point."""
-    values: dict[str, Any] | None = plain(result, PER_POINT)
+    """Return a result in plain values, without the fields that a record leaves out."""
+    values: dict[str, Any] | None = plain(result, NOT_RECORDED)
     return values
 
 
@@ -40,8 +40,9 @@ def result_from_dict(values: Mapping[str, Any] | None) -> RegistrationResult | N
     """
     if values is None:
         return None
-    # files of earlier versions have no landmarks in their results
-    result = _from_dict(RegistrationResult, {'landmarks': [], **values}, PER_POINT)
+    # files of earlier versions do not have these
+    result = _from_dict(RegistrationResult, {'landmarks': [], 'rejected': {}, **values},
+                        NOT_RECORDED)
     if result.success and (result.T_tracker_bone is None or not is_rigid(result.T_tracker_bone)):
         raise ValueError('the registration has no valid pose')
     return result

@@ -31,6 +31,7 @@ from gsdf_registration.session.notices import Notices
 from gsdf_registration.session.record import SessionRecord
 from gsdf_registration.session.state import SessionState
 from gsdf_registration.session.status import Status, count_points, make_status
+from gsdf_registration.session.verification import Verification
 
 __all__ = ['Answer', 'Session', 'Status']
 
@@ -257,6 +258,7 @@ class Session:
                 return RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN)
             points, serials = state.collection.points(), state.collection.serials()
             received, frame_id = state.collection.received, state.collection.frame_id or ''
+            rejected = dict(state.collection.counts)
             if landmarks is None:
                 landmarks = state.landmarks.usable
             if T_tracker_bone is None:
@@ -285,7 +287,7 @@ class Session:
                     return RegistrationResult.refused(
                         Reason.NOT_CONVERGED,
                         'points were dropped or the model changed meanwhile; register again')
-                result = dataclasses.replace(result, received=received)
+                result = dataclasses.replace(result, received=received, rejected=rejected)
                 if result.success:
                     result = state.accept(AcceptedRegistration(result, points, serials, frame_id))
                 else:
@@ -414,6 +416,11 @@ class Session:
         with self._lock:
             positions = self._state.air_positions()
         return positions()      # outside the lock
+
+    def verifications(self) -> tuple[Verification, ...]:
+        """Return the verification points, in the order in which they were touched."""
+        with self._lock:
+            return tuple(self._state.verifications)
 
     def status(self) -> Status:
         """Return a snapshot for the operator."""
