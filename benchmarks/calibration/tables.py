@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from benchmarks.calibration.trial import LOST
 from benchmarks.execution.result_table import Row
 from benchmarks.protocol.trials import SCENARIOS
-from gsdf_registration.common.rigid import rms
+from gsdf_registration.common.rigid import Array, rms
 
 CHI_SQUARE_95 = 12.592      # 95 % quantile, 6 degrees of freedom
 CHI_SQUARE_FAR = 30.0       # exceeded by 0.004 %
@@ -36,18 +37,32 @@ def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
         yield (name, *_cells(group))
 
 
+def peer_table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+    """Yield a line for each peer and scenario, and for each peer; cells as in `table`."""
+    for peer in dict.fromkeys(row['peer'] for row in rows):
+        own = [row for row in rows if row['peer'] == peer]
+        for name in dict.fromkeys(row['scenario'] for row in own):
+            yield (f'  {name}', *_cells([row for row in own if row['scenario'] == name]))
+        yield (peer, *_cells(own))
+
+
 def _cells(group: Sequence[Row]) -> tuple[str, ...]:
-    rows = [row for row in group if row['chi_square'] is not None and row['near_m'] < LOST]
+    rows = [row for row in group if row['near_stated_m'] is not None and row['near_m'] < LOST]
     if not rows:
         return (str(len(group)), str(len(group)), *('-' for _ in COLUMNS[3:]))
     value = {key: np.array([row[key] for row in rows]) for key in rows[0]
              if isinstance(rows[0][key], float)}
-    chi_square, cells = value['chi_square'], []
+    cells = [str(len(group)), str(len(group) - len(rows)),
+             _share(value, 'chi_square', lambda squared: squared < CHI_SQUARE_95),
+             _share(value, 'chi_square', lambda squared: squared > CHI_SQUARE_FAR)]
     for place in ('near', 'far'):
         true, stated = rms(1e3 * value[f'{place}_m']), rms(1e3 * value[f'{place}_stated_m'])
-        cells += [f'{true:.2f} / {stated:.2f}', f'{value[f"{place}_within"].mean():.1%}']
-    return (str(len(group)), str(len(group) - len(rows)),
-            f'{(chi_square < CHI_SQUARE_95).mean():.1%}',
-            f'{(chi_square > CHI_SQUARE_FAR).mean():.2%}', *cells,
-            *(f'{rms(value[f"{place}_m"]) / rms(value[f"{place}_bound_m"]):.2f}'
-              for place in ('near', 'far')), f'{np.sqrt(value["nees"].mean() / 6.0):.2f}')
+        cells += [f'{true:.2f} / {stated:.2f}', _share(value, f'{place}_within')]
+    cells += [f'{rms(value[f"{place}_m"]) / rms(value[f"{place}_bound_m"]):.2f}'
+              for place in ('near', 'far')]
+    return (*cells, f'{np.sqrt(value["nees"].mean() / 6.0):.2f}' if 'nees' in value else '-')
+
+
+def _share(value: dict[str, Array], key: str, of: Callable[[Array], Any] = np.asarray) -> str:
+    """Return the mean of a column as a percentage; - if it is not stated."""
+    return f'{np.mean(of(value[key])):.2%}' if key in value else '-'

@@ -7,11 +7,15 @@ import argparse
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
 from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError
+
+if TYPE_CHECKING:
+    from benchmarks.execution.result_table import Row
+    from benchmarks.protocol.trials import Trial
 
 # with an exact model, with interference, and all that have an inexact one
 EXACT = ('clean', 'sigma_0.15', 'uniform_50', 'mixed_40')
@@ -33,6 +37,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--scenarios', metavar='NAME,...', default='',
                         help='scenarios of the trust benchmark; * matches any text (default: '
                         f'{", ".join(EXACT)} and those with an inexact model)')
+    parser.add_argument('--peers', action='store_true',
+                        help='test the accuracy that other libraries state instead; they are '
+                        'installed in an environment of their own')
     add_seed_option(parser, 'seed of the first trials')
     add_table_options(parser, 'trial')
     parser.set_defaults(run=run)
@@ -40,7 +47,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the trials and print the table."""
-    from benchmarks.calibration.tables import COLUMNS, WIDTHS, table
+    from benchmarks.calibration.tables import COLUMNS, WIDTHS, peer_table, table
     from benchmarks.calibration.trial import run_trial
     from benchmarks.commands.trust import scenarios
     from benchmarks.execution.runner import run_all
@@ -57,13 +64,39 @@ def run(args: argparse.Namespace) -> int:
                 for trial in islice(trials(cases, [scenario], args.seed), args.trials)]
     if not selected:
         raise InputError('none of these scenarios has a true pose; choose others')
-    rows = run_all({trial.name: trial for trial in selected}, partial(run_trial, config=config),
-                   output=Path(args.output) if args.output else None,
-                   about=about(cases, args.seed, config))
+    output = Path(args.output) if args.output else None
+    depends = about(cases, args.seed, config)
+    rows = run_peers(selected, output, depends) if args.peers else run_all(
+        {trial.name: trial for trial in selected}, partial(run_trial, config=config),
+        output=output, about=depends)
     print('lost: in another minimum; near: the exposed area, far: the whole bone, RMS, mm; within '
           '95 %: places whose\nerror is within its stated bound; bound: Cramer-Rao, of an exact '
           'model\n')
-    for cells in [COLUMNS, *table(rows)]:
+    for cells in [COLUMNS, *(peer_table(rows) if args.peers else table(rows))]:
         print(f'{cells[0]:<{WIDTHS[0]}}'
               + ''.join(f'{cell:>{width}}' for cell, width in zip(cells[1:], WIDTHS[1:])))
     return 0
+
+
+def run_peers(trials: list[Trial], output: Path | None, depends: dict[str, Any]) -> list[Row]:
+    """Return the rows of all peers; those that cannot be installed are named on stderr."""
+    import sys
+
+    from benchmarks.calibration.peers import run_peer
+    from benchmarks.execution.runner import run_all
+    from benchmarks.peers.catalogue import CURRENT, STATING
+    from benchmarks.peers.environment import environment
+    from gsdf_registration.field.cache import cache_directory
+
+    installed, folder = environment(CURRENT), cache_directory() / 'benchmarks'
+    folder.mkdir(parents=True, exist_ok=True)
+    jobs = {}
+    for name, peer in STATING.items():
+        if peer.library in installed.missing:
+            print(f'{name}: {installed.missing[peer.library]}', file=sys.stderr)
+            continue
+        # one model after the other: a process is prepared for one
+        for trial in sorted(trials, key=lambda each: (each.model, each.scenario.name)):
+            jobs[f'{name}/{trial.name}'] = name, trial
+    work = partial(run_peer, python=str(installed.python), models=folder)
+    return run_all(jobs, work, output=output, about=depends)

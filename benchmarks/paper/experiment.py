@@ -193,11 +193,15 @@ def model_file(path: str, folder: Path) -> Path:
     """Return the file in ``folder`` with a mesh in the format of the peers; write it if needed."""
     file = folder / f'{Path(path).stem}.npz'
     if not file.exists():
-        vertices, faces = cases.surface(path)
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        points, face = trimesh.sample.sample_surface(mesh, int(DENSITY * mesh.area), seed=0)
-        part = folder / f'{os.getpid()}.npz'
-        np.savez(part, vertices=vertices, faces=faces.astype(np.int32), points=points,
-                 normals=mesh.face_normals[face])
-        part.replace(file)
+        write_model(*cases.surface(path), file)
     return file
+
+
+def write_model(vertices: Array, faces: np.ndarray, file: Path) -> None:
+    """Write a mesh, m, in the format of the peers."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, face = trimesh.sample.sample_surface(mesh, int(DENSITY * mesh.area), seed=0)
+    part = file.parent / f'{os.getpid()}.npz'
+    np.savez(part, vertices=vertices, faces=faces.astype(np.int32), points=points,
+             normals=mesh.face_normals[face])
+    part.replace(file)

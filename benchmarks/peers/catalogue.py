@@ -15,7 +15,9 @@ CURRENT = Group(
      'meshlib': ('meshlib==3.1.4.297',), 'fricp-cpp': ('fricp-cpp==1.0.0',),
      'pycpd': ('pycpd==2.0.0',), 'rustcpd': ('rustcpd==4.0.0',),
      'jrmpc': ('jrmpc==1.0.0', 'tqdm'), 'py-goicp': ('py-goicp==0.0.4',),
-     'kiss-matcher': ('kiss-matcher==1.0.2',)})
+     'kiss-matcher': ('kiss-matcher==1.0.2',),
+     'scikit-surgerycore': ('scikit-surgerycore==0.8.3',),
+     'closed form': ('open3d==0.20.0', 'small_gicp==1.0.1', 'scipy')})
 OLD = Group(
     'python3.10', ('3.10',),
     # their extensions crash with numpy 2
@@ -54,4 +56,15 @@ PEERS = {peer.name: peer for peer in (
     Peer('KISS-Matcher', CURRENT, 'kiss-matcher', ('global_methods', 'kiss_matcher'), False, 1),
     Peer('TEASER++', OLD, 'cmeel-teaser-plusplus', ('global_methods', 'teaser'), False, 1),
     Peer('Go-ICP', CURRENT, 'py-goicp', ('global_methods', 'goicp'), False, 3),
+)}
+
+# those that state how accurate a pose is
+STATING = {peer.name: peer for peer in (
+    Peer('Open3D, information', CURRENT, 'open3d', ('accuracy', 'open3d_information'), True),
+    Peer('small_gicp, information', CURRENT, 'small_gicp', ('accuracy', 'small_gicp_information'),
+         True),
+    Peer('ICP, Censi', CURRENT, 'closed form', ('accuracy', 'censi_plane'), True),
+    Peer('ICP, Prakhya', CURRENT, 'closed form', ('accuracy', 'prakhya_point'), True),
+    Peer('scikit-surgerycore', CURRENT, 'scikit-surgerycore', ('accuracy', 'surgerycore_tre'),
+         True),
 )}

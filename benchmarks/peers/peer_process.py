@@ -50,6 +50,7 @@ class PeerProcess:
     def __init__(self, python: Path, worker: tuple[str, str], model: Path,
                  limit: float = LIMIT) -> None:
         self.limit = limit
+        self.stated = np.zeros(0)       # accuracy of the last answer, if the peer states one
         self._rest = b''
         self._process = subprocess.Popen(
             [python, WORKERS / 'worker.py', *worker, model], env=clean_environment(),
@@ -79,7 +80,7 @@ class PeerProcess:
         except BrokenPipeError:
             raise PeerError(self._exit_status()) from None
         answer = self._answer(self.limit)
-        motion = np.array(answer['motion'])
+        motion, self.stated = np.array(answer['motion']), np.array(answer['stated'])
         if motion.shape != (4, 4) or not np.isfinite(motion).all():
             raise PeerError('no finite pose')
         return motion, float(answer['seconds'])

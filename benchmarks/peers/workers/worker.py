@@ -4,7 +4,8 @@ Register with one peer on one bone: report that it is ready, then answer request
 
 Run it as ``python worker.py MODULE PEER MODEL.npz``. A request contains ``points`` (n, 3), m, bone
 frame, transformed by the start, and ``noise``, m. The response contains the ``motion`` (4, 4) of
-the points and its time ``seconds``, or an ``error``.
+the points, its time ``seconds`` and, if the peer states one, its accuracy ``stated``, or an
+``error``.
 """
 
 from __future__ import annotations
@@ -41,8 +42,10 @@ def main(module: str, peer: str, model: str) -> None:
         points = np.array(request['points'])
         started = perf_counter()
         try:
-            motion = np.asarray(align(points, request['noise']), dtype=np.float64)
-            respond({'motion': motion.tolist(), 'seconds': perf_counter() - started})
+            found, seconds = align(points, request['noise']), perf_counter() - started
+            motion, stated = found if isinstance(found, tuple) else (found, ())
+            respond({'motion': np.asarray(motion, dtype=np.float64).tolist(),
+                     'stated': np.asarray(stated, dtype=np.float64).tolist(), 'seconds': seconds})
         except Exception as error:      # any failure of a peer is a result
             respond({'error': on_one_line(error)})
 
