@@ -106,10 +106,11 @@ class ServedPage:
         from gsdf_registration.visualization.console_page import ConsolePage
 
         gated = bool(options.token)
+        buttons: dict[str, Any] = {'actions': ()} if options.view_only else {
+            'run': link.run, 'drop_stroke': link.drop_stroke}
         self.page: ConsolePage = ConsolePage(
-            link.run, link.drop_stroke, host='127.0.0.1' if gated else options.host,
-            port=free_port() if gated else options.port, view_only=options.view_only,
-            ras=options.model_axes == 'ras')
+            **buttons, host='127.0.0.1' if gated else options.host,
+            port=free_port() if gated else options.port, ras=options.model_axes == 'ras')
         self._gate: Any = None
         port = self.page.port
         if gated:

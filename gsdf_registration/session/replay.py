@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,15 +98,8 @@ def replay_events(recording: Recording, field: Field, settle: Settle,
     if not recording.events:
         session, remarks = _collected(recording, field, settle(Config()))
         return Replayed(session.register(landmarks, T_tracker_bone), session, remarks)
-    events = [each.event for each in recording.events]
-    settings: dict[str, Any] = next((event.request['settings'] for event in events
-                                     if 'settings' in event.request), {})
-    session = Session(recorded_config(settings, settle), field)
-    session.collect(False)
+    session, transformer, operator = _operated(recording, field, settle, landmarks, T_tracker_bone)
     restarts = _restarts(session)
-    transformer = PointTransformer(session, Frames())
-    operator = OperatorReplay(session, transformer.clear, field.bone_sha256, settle, landmarks,
-                              T_tracker_bone)
     notes = _play(recording, transformer, operator)
     session.count_rejected(recording.dropped)
     status = session.status()
@@ -112,6 +107,35 @@ def replay_events(recording: Recording, field: Field, settle: Settle,
     if result is None:
         result = session.register(landmarks, T_tracker_bone)
     return Replayed(result, session, (*operator.notes, *restarts, *notes))
+
+
+def begin(recording: Recording, field: Field, settle: Settle) -> tuple[Session, Iterator[int]]:
+    """
+    Return a new session, and an iterator of which each step adds one sample.
+
+    It yields the row of the sample that comes next. What the operator did, if that is recorded, is
+    carried out at its place among the samples.  Arguments as in `replay_events`.
+    """
+    if not recording.events:
+        session = Session(settle(Config()), field)
+        session.collect(True)
+        return session, _steps(recording, PointTransformer(session, Frames()), None)
+    session, transformer, operator = _operated(recording, field, settle)
+    return session, _steps(recording, transformer, operator)
+
+
+def _operated(recording: Recording, field: Field, settle: Settle,
+              landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None
+              ) -> tuple[Session, PointTransformer, OperatorReplay]:
+    """Return a session with the settings of the recorded node, and what repeats its operator."""
+    events = [each.event for each in recording.events]
+    settings: dict[str, Any] = next((event.request['settings'] for event in events
+                                     if 'settings' in event.request), {})
+    session = Session(recorded_config(settings, settle), field)
+    session.collect(False)
+    transformer = PointTransformer(session, Frames())
+    return session, transformer, OperatorReplay(session, transformer.clear, field.bone_sha256,
+                                                settle, landmarks, T_tracker_bone)
 
 
 def collected(recording: Recording, field: Field, config: Config | None = None) -> Session:
@@ -143,6 +167,13 @@ def _restarts(session: Session) -> list[str]:
 
 def _play(recording: Recording, transformer: PointTransformer,
           operator: OperatorReplay | None) -> list[str]:
+    """Add the whole recording; return what was noticed."""
+    deque(_steps(recording, transformer, operator), maxlen=0)
+    return [transformer.problem] if transformer.problem else []
+
+
+def _steps(recording: Recording, transformer: PointTransformer,
+           operator: OperatorReplay | None) -> Iterator[int]:
     """Add points, transforms and events in the order in which they were received."""
     if recording.stamps is None:
         raise InputError(
@@ -158,6 +189,8 @@ def _play(recording: Recording, transformer: PointTransformer,
     transforms, events = recording.transforms, recording.events if operator else ()
     moved = done = 0        # transforms and events so far
     for row in range(len(stamps) + 1):
+        if row < len(stamps):
+            yield row
         while True:
             if (done < len(events) and events[done].after <= row
                     and events[done].transforms <= moved):
@@ -178,4 +211,3 @@ def _play(recording: Recording, transformer: PointTransformer,
                 stamps[row], tuple(positions[row]), recording.frame_ids[row], names[sources[row]],
                 quality=quality[row], stroke=strokes[row], tool=tools[row]))
     transformer.finish()
-    return [transformer.problem] if transformer.problem else []

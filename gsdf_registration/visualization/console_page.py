@@ -9,7 +9,7 @@ The page knows neither ROS nor the session. It draws markers, as of ``~/markers`
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,8 +21,8 @@ from gsdf_registration.common.rigid import Array
 from gsdf_registration.visualization import console_panel
 from gsdf_registration.visualization.console_panel import Limits, Tracker
 from gsdf_registration.visualization.console_scene import ConsoleScene, LandmarkPlaces
+from gsdf_registration.visualization.timeline import Timeline
 from msg_adapters.marker_cdr import Marker
-
 
 PANEL = 385     # px, width of the panel on a wide screen
 
@@ -61,6 +61,7 @@ ACTIONS = (
            'This drops all points, landmarks and verification points, and withdraws the pose.',
            often=False),
 )
+ALL_ACTIONS = frozenset(each.name for each in ACTIONS)
 
 
 class ConsolePage:
@@ -73,10 +74,10 @@ class ConsolePage:
         Called with the name of an action when its button is pressed; returns the answer, success
         and one sentence.
     drop_stroke : callable
-        Called with the number of a stroke.
+        Called with the number of a stroke; None: strokes cannot be excluded.
     host, port : where the page is served
-    view_only : bool
-        Whether there are no buttons.
+    actions : of str
+        Names of the actions that have a button.
     ras : bool
         Whether x is right and y anterior in the bone frame, instead of left and posterior.
 
@@ -87,10 +88,13 @@ class ConsolePage:
 
     """
 
-    def __init__(self, run: Callable[[str], tuple[bool, str]],
-                 drop_stroke: Callable[[int], tuple[bool, str]], *, host: str = '127.0.0.1',
-                 port: int = 8080, view_only: bool = False, ras: bool = False) -> None:
-        self._run, self._drop_stroke, self._view_only = run, drop_stroke, view_only
+    def __init__(self, run: Callable[[str], tuple[bool, str]] | None = None,
+                 drop_stroke: Callable[[int], tuple[bool, str]] | None = None, *,
+                 host: str = '127.0.0.1', port: int = 8080,
+                 actions: Container[str] = ALL_ACTIONS,
+                 ras: bool = False) -> None:
+        self._run, self._drop_stroke = run or _refuse, drop_stroke
+        self._actions = [each for each in ACTIONS if each.name in actions]
         self._lock = threading.RLock()
         self._values: Mapping[str, str] | None = None
         self._message, self._flash = '', False
@@ -155,6 +159,13 @@ class ConsolePage:
         """Draw a complete scene, bone frame; what is not in it disappears."""
         self.scene.show_markers(markers)
 
+    def add_timeline(self, duration: float) -> Timeline:
+        """Add the time line of a recording of ``duration``, s."""
+        with self._timeline:
+            timeline = Timeline(self.server.gui, duration)
+        self._timeline.visible = True
+        return timeline
+
     # ---- construction
 
     def _build(self) -> None:
@@ -169,6 +180,7 @@ class ConsolePage:
         self._progress: Any = gui.add_progress_bar(0.0, animated=True, visible=False)
         self._html['tracking'] = gui.add_html('')
         self._add_buttons(often=True)
+        self._timeline = gui.add_folder('Recording', visible=False)
         self._html['hints'] = gui.add_html('')
         tabs = gui.add_tab_group()
         for name, label in (('accuracy', 'Accuracy'), ('counters', 'Points'),
@@ -181,14 +193,14 @@ class ConsolePage:
                     self._strokes = gui.add_folder('Strokes')
         with tabs.add_tab('View'):
             self._add_views()
-        if not self._view_only:
+        if any(not each.often for each in self._actions):
             with tabs.add_tab('More'):
                 self._add_buttons(often=False)
         self._refresh()
 
     def _add_buttons(self, often: bool) -> None:
         gui = self.server.gui
-        for action in ACTIONS if not self._view_only else ():
+        for action in self._actions:
             if action.often != often:
                 continue
             button = gui.add_button(action.label, color=action.color,
@@ -221,9 +233,9 @@ class ConsolePage:
         else:
             self.show_answer(*self._run(action.name))
 
-    def _press_drop(self, number: int, _: Any) -> None:
+    def _press_drop(self, drop: Callable[[int], tuple[bool, str]], number: int, _: Any) -> None:
         self._ask(f'Exclude stroke {number}', 'This drops the points of the stroke. A pose that '
-                  'used them is registered again or withdrawn.', lambda: self._drop_stroke(number))
+                  'used them is registered again or withdrawn.', lambda: drop(number))
 
     def _ask(self, label: str, consequence: str, act: Callable[[], tuple[bool, str]]) -> None:
         """Ask before points are lost."""
@@ -275,10 +287,14 @@ class ConsolePage:
         with self._strokes:
             for number, sentence in rows.items():
                 self._stroke_handles.append(gui.add_html(console_panel.stroke(sentence)))
-                if not self._view_only:
+                if self._drop_stroke is not None:
                     button = gui.add_button(f'Exclude stroke {number}', color='gray')
-                    button.on_click(partial(self._press_drop, number))
+                    button.on_click(partial(self._press_drop, self._drop_stroke, number))
                     self._stroke_handles.append(button)
+
+
+def _refuse(_: str) -> tuple[bool, str]:
+    return False, 'this page only shows'
 
 
 def _hint(action: Action) -> str | None:

@@ -38,7 +38,9 @@ class Operated:
 
     def __init__(self, surface: tuple[np.ndarray, np.ndarray], view_only: bool = False) -> None:
         self.pressed: list[Any] = []
-        self.page = ConsolePage(self._press, self._press, port=free_port(), view_only=view_only)
+        buttons: dict[str, Any] = {'actions': ()} if view_only else {
+            'run': self._press, 'drop_stroke': self._press}
+        self.page = ConsolePage(**buttons, port=free_port())
         vertices, faces = surface
         touch, normal = vertices[:1], np.array([[0.0, -1.0, 0.0]])
         self.page.show_status(STATUS, 'enough points; register now; the clock is late')
@@ -116,4 +118,4 @@ def test_shows_no_buttons_to_those_who_only_view(
 def test_a_port_in_use_is_reported() -> None:
     with operated((np.eye(3), np.array([[0, 1, 2]]))) as given, pytest.raises(
             InputError, match=f'port {given.page.port} is in use'):
-        ConsolePage(lambda name: (True, name), lambda number: (True, ''), port=given.page.port)
+        ConsolePage(port=given.page.port)
