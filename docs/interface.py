@@ -60,6 +60,9 @@ PUBLISHED = {
     '~/guidance': 'places to touch next, best first; none: no touch is proposed',
     '~/status': 'state, points kept and rejected by cause, reason, what to do next; on change',
     '/diagnostics': 'the same every second',
+    '~/events': 'what the operator did, for replays: one message a service call with its answer, and '
+                'one a change of parameters, model or state; the last 2000 are kept for late '
+                'joiners; see [recordings](files.md)',
     '~/points': 'collected points in the bone frame: x y z residual weight stroke',
     '~/markers': 'the bone coloured by the error (95 %) with the border of the zone, the points '
                  'by residual, the next place to touch',
@@ -97,6 +100,7 @@ STATUS = {
     'calibration.angle_deg': 'largest rotation since its start, degrees; absent while none runs',
     'used': 'points used by the accepted registration',
     'inliers': 'points among them that lie on the bone',
+    'left_out.*': 'points collected but not used by it, by cause',
     'predicted_tre_m.*': 'expected error at each target, over the bone (`rms`) and its maximum '
                          '(`max`), m',
     'grade': 'of the accepted registration: `A` or `B`, see [accuracy.md](accuracy.md)',
