@@ -267,7 +267,8 @@ def test_one_damaged_record_costs_what_follows_it_only(field: Field, tmp_path: P
     again = resumed(field, tmp_path / 's.json')
     assert again.points == kept     # the points that were dropped are there again, and it is said
     notice = again.session.status().notice
-    assert notice.endswith(f'of {journal} is damaged; the whole journal is kept as {journal}.1')
+    assert notice.endswith(f'of {journal} is damaged; 1 line after it ignored; the whole journal '
+                           f'is kept as {journal}.1')
 
 
 def test_a_damaged_journal_in_a_folder_that_cannot_be_written_is_said(
