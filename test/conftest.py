@@ -27,7 +27,7 @@ SOURCES = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md'
 # The optional package that a module or the modules of a folder import.  No module skips itself
 # while it is imported: with the pytest plugin of launch_testing that ends the collection.
 NEEDS = {
-    'cli/test_report_option.py': 'plotly', 'cli/test_show.py': 'matplotlib',
+    'cli/test_report_option.py': 'PIL', 'cli/test_result_schema.py': 'jsonschema', 'cli/test_show.py': 'matplotlib',
     'msg_adapters/test_dicom_seg.py': 'highdicom',
     'msg_adapters/test_igtl.py': 'pyigtl',
     'msg_adapters/test_markers.py': 'visualization_msgs',
@@ -36,8 +36,9 @@ NEEDS = {
     'msg_adapters/test_slicer_transform.py': 'SimpleITK',
     'msg_adapters/test_vtk_mesh.py': 'vtk', 'node': 'rclpy', 'ros': 'rclpy',
     'ros/test_console_in_browser.py': 'playwright', 'ros/test_igtl_bridge.py': 'pyigtl',
-    'visualization/test_console_page.py': 'playwright',
-    'visualization/test_picture.py': 'matplotlib', 'visualization/test_report.py': 'plotly'}
+    'cli/test_view.py': 'viser', 'visualization/test_console_page.py': 'playwright',
+    'visualization/test_timeline.py': 'viser',
+    'visualization/test_picture.py': 'matplotlib', 'visualization/test_report.py': 'PIL'}
 
 
 class SkippedModule(pytest.File):

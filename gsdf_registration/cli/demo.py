@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import outputs
+from gsdf_registration.cli import outputs, session_report
 from gsdf_registration.clients.processes import running
 from gsdf_registration.common.command_line import example
 from gsdf_registration.common.formatting import format_count
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
 
     from gsdf_registration.clients.operator import Operator
-    from gsdf_registration.common.rigid import Array
     from msg_adapters.truth import Truth
 
 SHARE = 'package://gsdf_registration/bags'
@@ -67,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
     with private_domain() as environment, tempfile.TemporaryDirectory() as folder:
         os.environ.update(environment)
         log(f'starting the node in ROS domain {environment["ROS_DOMAIN_ID"]}')
-        command = node_command(truth_file.parent / truth.model, truth, f'{folder}/session.json')
+        session = f'{folder}/session.json'
+        command = node_command(truth_file.parent / truth.model, truth, session)
         with running(command, 'the node') as node, \
                 Operator(patience=STARTUP, alive=lambda: node.poll() is None) as operator:
             await_ready(operator)
@@ -78,12 +78,12 @@ def run(args: argparse.Namespace) -> int:
             answer = operator.ask('register')
             log(f'register: {answer.message}')
             if answer.success:
-                show(truth_file, truth, report, log)
+                show(operator, session, truth_file, truth, report, log)
             return 0 if answer.success else 1
 
 
 def report_path(wanted: str | None) -> str | None:
-    """Return the file of the report; None without plotly, unless the report was asked for."""
+    """Return the file of the report; None without Pillow, unless the report was asked for."""
     try:
         outputs.require_report(wanted or REPORT)
     except InputError as missing:
@@ -167,13 +167,15 @@ def collect_strokes(operator: Operator, bag: Path, log: Log) -> None:
     log(operator.collect(False).message)
 
 
-def show(truth_file: Path, truth: Truth, report: str | None, log: Log) -> None:
+def show(operator: Operator, session: str, truth_file: Path, truth: Truth, report: str | None,
+         log: Log) -> None:
     """Receive the result as a late joiner, print its true error and write the report."""
     from gsdf_registration.cli.summary import true_error
     from gsdf_registration.field.model import load_model
     from msg_adapters.files import sha256_of
+    from msg_adapters.session_file import read_session
 
-    result, points, frame_id, values = receive_result()
+    result, frame_id, values = receive_result()
     field = load_model(str(truth_file.parent / truth.model), truth.model_unit)
     assert result.T_tracker_bone is not None
     error = true_error(result, field, truth.T_tracker_bone)
@@ -185,44 +187,32 @@ def show(truth_file: Path, truth: Truth, report: str | None, log: Log) -> None:
     print(f'  points         {describe_points(values)}', flush=True)
     if report is None:
         return
-    from gsdf_registration.visualization import write_report
+    answer = operator.ask('save')
+    if not answer.success:
+        raise InputError(answer.message)
     Path(report).parent.mkdir(parents=True, exist_ok=True)
-    title = f'{truth.model} from {truth_file.stem}, over ROS 2'
-    write_report(report, result, field, points, title=title, about={
-        'model': truth.model, 'model SHA-256': field.bone_sha256, 'recording': truth_file.stem,
-        'points SHA-256': sha256_of(str(truth_file.with_suffix(''))),
-        'frame of the points': frame_id, 'true error': error,
-        'collected points': describe_points(values),
-        'weakest direction': values['weakest_direction']})
+    record = read_session(session)
+    session_report.write_report(
+        report, record, session_report.settings_of(record), field, axes='lps',
+        title=f'{truth.model} from {truth_file.stem}, over ROS 2',
+        about={'recording': truth_file.stem, 'true error': error,
+               'recording SHA-256': sha256_of(str(truth_file.with_suffix('')))})
     log(f'report: {report}')
 
 
-def receive_result() -> tuple[RegistrationResult, Array, str, dict[str, str]]:
-    """Return from the topics the result, the points (n, 3) m, their frame and the status values."""
-    import numpy as np
+def receive_result() -> tuple[RegistrationResult, str, dict[str, str]]:
+    """Return from the topics the pose, the frame of the points and the status values."""
     from diagnostic_msgs.msg import DiagnosticStatus
     from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-    from sensor_msgs.msg import PointCloud2
 
     from gsdf_registration.clients.operator import Operator
-    from gsdf_registration.common.rigid import transform
-    from msg_adapters.ros import cloud_to_arrays, pose_from
+    from msg_adapters.ros import pose_from
 
     with Operator() as late_joiner:
         pose = late_joiner.receive(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
-        cloud = cloud_to_arrays(late_joiner.receive(PointCloud2, '~/points'))
         status = late_joiner.receive(DiagnosticStatus, '~/status')
     _, T, frame_id = pose_from(PoseStamped(header=pose.header, pose=pose.pose.pose))
-    values = values_of(status)
-    on_bone = np.stack([cloud[name] for name in 'xyz'], axis=1).astype(np.float64)
-    result = RegistrationResult(
-        Reason.CONVERGED, status.message, T, np.reshape(pose.pose.covariance, (6, 6)),
-        received=int(values['received']), used=int(values['used']), inliers=int(values['inliers']),
-        predicted_tre_m={key.removeprefix('predicted_tre_m.'): float(value)
-                         for key, value in values.items() if key.startswith('predicted_tre_m.')},
-        residuals_m=cloud['residual'].astype(np.float64),
-        weights=cloud['weight'].astype(np.float64))
-    return result, transform(T, on_bone), frame_id, values
+    return RegistrationResult(Reason.CONVERGED, status.message, T), frame_id, values_of(status)
 
 
 def describe_points(values: dict[str, str]) -> str:

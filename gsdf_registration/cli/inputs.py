@@ -14,16 +14,17 @@ if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.field import Field
+    from gsdf_registration.session.operator_replay import Settle
     from msg_adapters.recording import Recording
 
 METRES = {'mm': 1e-3, 'm': 1.0}     # of a unit
 
 
-def effective_config(args: argparse.Namespace) -> Config:
-    """Return the settings of ``--config``, with those that the command line names."""
+def effective_config(args: argparse.Namespace, base: Config | None = None) -> Config:
+    """Return ``base`` with the settings of ``--config`` and those that the command line names."""
     from gsdf_registration.common.config import Config
     from msg_adapters.settings_file import read_config
-    config = Config()
+    config = base or Config()
     for path in args.config or ():
         config = read_config(path, config)
     changes: dict[str, Any] = {'model.path': args.model}
@@ -81,13 +82,28 @@ def prepare_kernels(config: Config) -> None:
     warm_up.prepare_kernels()
 
 
-def read_recording(path: str, config: Config, topics: Sequence[str] | None = None) -> Recording:
-    """Return the points of a bag, with the poses of the reference array if the settings ask."""
+def read_recording(path: str, config: Config, topics: Sequence[str] | None = None,
+                   events: str | None = '') -> Recording:
+    """
+    Return the points of a bag, with the poses of the reference array if the settings ask.
+
+    ``topics``: of the probe; ``events``: of the operator, see `read_bag`.
+    """
     from gsdf_registration.common.config import ProbeConfig
     from msg_adapters.bag import read_bag
     if topics is None and config.probe.topics != ProbeConfig().topics:
         topics = config.probe.topics
-    return read_bag(path, topics, config.reference.topic, frames=bool(config.points_frame))
+    return read_bag(path, topics, config.reference.topic, frames=bool(config.points_frame),
+                    events=events)
+
+
+def config_of(recording: Recording, config: Config, settle: Settle) -> Config:
+    """Return the settings of a node whose events were recorded, or ``config`` without events."""
+    from gsdf_registration.session.operator_replay import recorded_config
+    from msg_adapters.recorded_events import settings_of
+    if not recording.events:
+        return config
+    return recorded_config(settings_of([each.event for each in recording.events]), settle)
 
 
 def read_initial(path: str | None) -> Array | None:

@@ -32,9 +32,16 @@ def add_registration_options(parser: argparse.ArgumentParser) -> None:
                         help='write the pose as a static transform (tf2_msgs/msg/TFMessage)')
     parser.add_argument('--crtk', metavar='OUT.yaml',
                         help='write the pose as CRTK publishes it (geometry_msgs/msg/PoseStamped)')
+    add_report_options(parser)
+
+
+def add_report_options(parser: argparse.ArgumentParser) -> None:
+    """Add the report and the label of the case in it."""
     parser.add_argument('--report', metavar='OUT.html',
-                        help='write an HTML report with the result, its accuracy and a 3D view of '
-                        'the points on the bone (needs the extra "report")')
+                        help='write an HTML report: the result, its accuracy, pictures and a 3-D '
+                        'view of the points on the bone (needs the extra "report")')
+    parser.add_argument('--case', metavar='LABEL', default='',
+                        help='label of the case, shown first in the report')
 
 
 def add_start_options(parser: argparse.ArgumentParser) -> None:

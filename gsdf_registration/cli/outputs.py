@@ -3,48 +3,48 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gsdf_registration.common.result import RegistrationResult
     from gsdf_registration.common.rigid import Array
-    from gsdf_registration.field import Field
+    from gsdf_registration.visualization.report_content import ReportContent
+
+EARLIEST, LATEST = 3e8, 4e9    # s since 1970: others are the uptime of a tracker
 
 
 def require_report(path: str | None) -> None:
     """Raise `InputError` before any work is done if a library for ``--report`` is missing."""
     if path is not None:
-        from gsdf_registration.visualization import require_plotly
-        require_plotly()
+        from gsdf_registration.visualization import require_pillow
+        require_pillow()
 
 
-def write_report(path: str | None, result: RegistrationResult, field: Field | None, points: Array,
-                 document: dict[str, Any], about: Mapping[str, str]) -> None:
-    """
-    Write the HTML report if ``--report`` was given.
+def write_report(path: str | None, content: ReportContent) -> None:
+    """Write the HTML report if ``--report`` was given."""
+    if path is not None:
+        from gsdf_registration.visualization import write_report as write
+        write(path, content)
 
-    Parameters
-    ----------
-    path : of the report; None: write nothing
-    result, field : the registration and the bone
-    points : (n, 3) m, those that were registered
-    document : the result as JSON
-    about : rows on the inputs, the model and the points first
 
-    """
-    if path is None:
-        return
-    from gsdf_registration.visualization import write_report as write
-    model, touched = (Path(name).name for name in list(about.values())[:2])
+def about_inputs(model: str, points: str, document: Mapping[str, Any]) -> dict[str, str]:
+    """Return the rows of the report on model and points, with the hashes of a JSON document."""
     hashes = {key.replace('_sha256', ' SHA-256'): sha256
               for key, sha256 in document['inputs'].items() if sha256}
-    times = {'time to load': f'{document["timing_s"]["load"]:.2f} s'}
-    write(path, result, field, points, title=f'{model} from {touched}',
-          about={**about, **hashes, **times})
+    load = document['timing_s']['load']
+    times = {} if load is None else {'time to load': f'{load:.2f} s'}
+    return {'model': model, 'points': points, **hashes, **times}
+
+
+def day_of(stamps: Array) -> str:
+    """Return the date and time (UTC) of the first of the stamps, s since 1970; empty if unknown."""
+    if not len(stamps) or not EARLIEST < stamps[0] < LATEST:
+        return ''
+    time = datetime.datetime.fromtimestamp(float(stamps[0]), datetime.timezone.utc)
+    return f'{time:%Y-%m-%d %H:%M} UTC'
 
 
 def write_json(path: str | None, document: Any) -> None:

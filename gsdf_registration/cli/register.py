@@ -7,6 +7,7 @@ import argparse
 import dataclasses
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.cli import inputs, landmark_files, options, outputs, pose_outputs
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from gsdf_registration.common.config import Config
     from gsdf_registration.common.landmarks import Landmarks
     from gsdf_registration.common.rigid import Array
+    from gsdf_registration.common.samples import Points
     from gsdf_registration.field import Field
     from msg_adapters.recording import Recording
 
@@ -44,7 +46,10 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Register, print and write the result; return 1 if it is rejected."""
     from gsdf_registration.cli.result_json import result_to_json
-    from gsdf_registration.cli.summary import counts_by_cause, summary
+    from gsdf_registration.cli.summary import summary
+    from gsdf_registration.common.landmarks import NO_LANDMARKS
+    from gsdf_registration.common.samples import untimed
+    from gsdf_registration.visualization.report_content import ReportContent
     from msg_adapters.files import sha256_of
     from msg_adapters.points import read_points
 
@@ -62,58 +67,60 @@ def run(args: argparse.Namespace) -> int:
         print(f'note: {note}', file=sys.stderr)
     field = inputs.field_or_refusal(config)
     loaded = time.perf_counter()
-    points = recording.positions
-    rejected: dict[str, int] = {}
+    points = untimed(recording.positions)
     if isinstance(field, Refusal):
         bone, result = None, RegistrationResult.refused(field.reason, field.message)
     else:
         bone = field
         landmark_files.check_axes(landmarks, bone, axes)
-        result, points, rejected = register_recording(recording, bone, config, landmarks,
-                                                      T_tracker_bone)
+        result, points = register_recording(recording, bone, config, landmarks, T_tracker_bone)
     document = result_to_json(
         result, config, frame_id=config.probe.frame_id,
         model_sha256=bone.bone_sha256 if bone else None, points_sha256=sha256_of(args.points),
         load_s=loaded - started, total_s=time.perf_counter() - started)
     outputs.write_json(args.json, document)
-    pose_outputs.PoseOutputs.of(args, axes).write(result, config, config.probe.frame_id, points,
-                                                  landmarks)
-    outputs.write_report(args.report, result, bone, points, document, {
-        'model': args.model, 'points': args.points,
-        'rejected points': counts_by_cause(rejected) or 'none'})
-    print(summary(result, config.probe.frame_id, rejected),
+    pose_outputs.PoseOutputs.of(args, axes).write(result, config, config.probe.frame_id,
+                                                  points.positions, landmarks)
+    outputs.write_report(args.report, ReportContent(
+        f'{Path(args.model).name} from {Path(args.points).name}', result, config, bone, points,
+        timed=recording.stamps is not None and bone is not None,
+        landmarks=landmarks or NO_LANDMARKS, case=args.case, date=outputs.day_of(points.stamps),
+        axes=axes.model,
+        about=outputs.about_inputs(args.model, args.points, document)))
+    print(summary(result, config.probe.frame_id),
           file=sys.stderr if args.json == '-' else sys.stdout)
     return 0 if result.success else 1
 
 
 def register_recording(
         recording: Recording, field: Field, config: Config, landmarks: Landmarks | None,
-        T_tracker_bone: Array | None) -> tuple[RegistrationResult, Array, dict[str, int]]:
+        T_tracker_bone: Array | None) -> tuple[RegistrationResult, Points]:
     """
     Register the points of a file: through a session, as in the node, if they have stamps.
 
-    Return also the points that were registered, (n, 3) m, and the number of rejected points by
-    cause.
+    Return also the points that were registered.
     """
     import numpy as np
 
-    from gsdf_registration.common.samples import Rejection
+    from gsdf_registration.common.samples import Rejection, untimed
     from gsdf_registration.common.tool_pose import TIP_UNKNOWN
     from gsdf_registration.registration.pipeline import register
     from gsdf_registration.session.replay import replay
 
     if recording.stamps is None:
         if recording.tools is not None and not config.probe.tip:
-            return (RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN), recording.positions,
-                    {})
+            return (RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN),
+                    untimed(recording.positions))
         positions, bad = recording.tip_positions(config.probe.tip)
         finite = np.isfinite(positions).all(axis=1)
         points = positions[finite]
         result = register(points, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone)
-        return (dataclasses.replace(result, received=len(recording)), points,
-                {str(Rejection.NOT_FINITE): int((~finite).sum()) - bad,
-                 str(Rejection.BAD_QUATERNION): bad})
+        rejected = {str(Rejection.NOT_FINITE): int((~finite).sum()) - bad,
+                    str(Rejection.BAD_QUATERNION): bad, **recording.dropped}
+        result = dataclasses.replace(result, received=len(points) + sum(rejected.values()),
+                                     rejected=rejected)
+        return result, untimed(points)
     # files of points do not name a frame
     recording.frame_ids = [config.probe.frame_id] * len(recording)
     result, session = replay(recording, field, config, landmarks, T_tracker_bone)
-    return result, session.points().positions, session.status().rejected
+    return result, session.points()

@@ -17,7 +17,7 @@ SCHEMA = 'gsdf-registration/2'
 
 def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str = '',
                    model_sha256: str | None = None, points_sha256: str | None = None,
-                   rejected: Mapping[str, int] | None = None, load_s: float | None = None,
+                   recording: Mapping[str, Any] | None = None, load_s: float | None = None,
                    total_s: float | None = None) -> dict[str, Any]:
     """
     Return the JSON document of one registration.
@@ -31,8 +31,8 @@ def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str 
         Frame of the points and of the pose; empty: not known.
     model_sha256, points_sha256 : str, optional
         Hashes of the inputs.
-    rejected : mapping of str to int, optional
-        Number of samples that were not collected, by cause.
+    recording : mapping, optional
+        ``complete`` and ``notes`` of a recording; None for other files.
     load_s, total_s : float, optional
         Time to load model and points, and total time, s.
 
@@ -48,7 +48,8 @@ def result_to_json(result: RegistrationResult, config: Config, *, frame_id: str 
         'covariance': result.covariance,
         'points': {'received': result.received, 'used': result.used, 'inliers': result.inliers,
                    'left_out': result.left_out},
-        'rejected': dict(rejected or {}),
+        'rejected': result.rejected,
+        'recording': recording,
         'sigma_m': result.sigma_m,
         'residual_rms_m': result.residual_rms_m,
         'predicted_tre_m': {'rms': None, 'max': None, **result.predicted_tre_m},

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``gsdf show``: write the RViz scene as a picture; needs no display."""
+"""``gsdf show``: write the RViz scene as a picture, or a report of a session; no display."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsdf_registration.cli import inputs, landmark_files, options
+from gsdf_registration.cli import inputs, landmark_files, options, session_report
 from gsdf_registration.common.command_line import example, spinner
 from gsdf_registration.common.result import INLIER_WEIGHT, InputError, Refusal
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'show', help='draw the bone, the points and the next touch as a PNG',
+        'show', help='draw the bone, the points and the next touch as a PNG or a report',
         description='Register the points and draw the scene: the bone coloured by the expected '
         'error, the points by their distance from the bone, and the places to touch next.',
         **example('gsdf show session.json --model hip.stl -o scene.png'))
@@ -37,11 +37,14 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('-o', '--output', default='scene.png', metavar='OUT.png',
                         help='file of the picture (default: scene.png)')
     options.add_start_options(parser)
+    options.add_report_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Register, draw the scene and print the result; return 1 if `register` would reject it."""
+    """Draw the scene, or write the report of a session; return 1 if the pose is rejected."""
+    if args.report:
+        return session_report.run(args)
     from gsdf_registration.live.assessment import assess_all_points
     from gsdf_registration.registration.evidence import Evidence
     from gsdf_registration.registration.landmark_evidence import for_tip

@@ -19,8 +19,7 @@ from gsdf_registration.field import Field
 Row = tuple[str, str]       # name, value
 
 
-def summary(result: RegistrationResult, frame_id: str = '',
-            rejected: Mapping[str, int] | None = None, more: Sequence[Row] = ()) -> str:
+def summary(result: RegistrationResult, frame_id: str = '', more: Sequence[Row] = ()) -> str:
     """
     Return the outcome, the pose and its expected accuracy as text.
 
@@ -28,11 +27,10 @@ def summary(result: RegistrationResult, frame_id: str = '',
     ----------
     result : of a registration
     frame_id : frame of the points; empty: not known
-    rejected : number of rejected points by cause
     more : rows to add
 
     """
-    counts = counts_by_cause(rejected or {})
+    counts = counts_by_cause(result.rejected)
     points = [('points', f'{result.received} received, {result.used} used, '
                f'{result.inliers} inliers')] if result.received else []
     left_out = counts_by_cause(result.left_out)

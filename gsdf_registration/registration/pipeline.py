@@ -15,6 +15,7 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import (
+    ConsideredPoses,
     InputError,
     Reason,
     Refusal,
@@ -113,9 +114,20 @@ def register(points: ArrayLike,
         return RegistrationResult.refused(error.reason, error.message, received=received)
     reason, message = verdict(candidate, refusal, used.positions, field, config)
     message = '; '.join(filter(None, (message, mistakes(candidate.selected.landmarks))))
-    result = candidate.to_result(reason, message, used.rows, received)
+    result = replace(candidate.to_result(reason, message, used.rows, received),
+                     considered=_considered(candidate, refusal, config))
     result = _with_points_left_out(result, candidate, points, used, field)
     return replace(result, timing_s={**result.timing_s, 'total': perf_counter() - started})
+
+
+def _considered(candidate: Candidate, refusal: Refusal | None, config: Config) -> ConsideredPoses:
+    """Return the poses behind the outcome, and where a touch would help."""
+    T_tracker_bone = rigid.inverse(candidate.solution.T_bone_tracker)
+    covariance = (None if candidate.confidence is None
+                  else candidate.confidence.pose_covariance(T_tracker_bone))
+    rivals = candidate.selected.ambiguous(config.limits.min_gap)
+    return ConsideredPoses(T_tracker_bone, covariance, tuple(rigid.inverse(T) for T in rivals),
+                           () if refusal is None else refusal.next_touches)
 
 
 def _with_points_left_out(result: RegistrationResult, candidate: Candidate, points: Array,

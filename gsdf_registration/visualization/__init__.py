@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports and pictures of a registration."""
 
-from gsdf_registration.visualization.report import require_plotly, write_report
+from gsdf_registration.visualization.report import require_pillow, write_report
+from gsdf_registration.visualization.report_content import ReportContent
 
-__all__ = ['require_plotly', 'write_report']
+__all__ = ['ReportContent', 'require_pillow', 'write_report']

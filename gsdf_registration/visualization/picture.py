@@ -71,7 +71,7 @@ def write_picture(path: str | os.PathLike[str], scene: Scene, title: str, good: 
     figure = Figure(figsize=(SIZE[0] / DPI, SIZE[1] / DPI), dpi=DPI)
     figure.text(0.015, 0.985, textwrap.fill(title, 150), fontsize=11, va='top', linespacing=1.4,
                 color=GOOD if good else BAD)
-    for number, (name, view) in enumerate(_views(scene).items()):
+    for number, (name, view) in enumerate(views(scene).items()):
         _draw_view(figure, number, name, view, scene)
     _draw_legend(figure, scene)
     picture = io.BytesIO()
@@ -79,16 +79,13 @@ def write_picture(path: str | os.PathLike[str], scene: Scene, title: str, good: 
     write_atomically(path, picture.getvalue())
 
 
-def _views(scene: Scene) -> dict[str, View]:
+def views(scene: Scene) -> dict[str, View]:
     """Return views of the touched area, of the whole bone, and of what these two do not show."""
     surface = scene.field.surface_points.astype(np.float64)
     touches = scene.next_touches
-    touched = (scene.points[scene.weights > INLIER_WEIGHT] if scene.T_tracker_bone is not None
-               else np.zeros((0, 3)))
+    touched = _touched(scene)
     if len(touched):
-        outward = scene.field.sample(touched)[1].mean(axis=0)
-        if np.linalg.norm(outward) < 0.1:       # touched on all sides
-            outward = FRONT
+        outward = _direction(scene, touched)
         shown = np.vstack([touched, *(touch.position for touch in touches)])
         views = {'touched area': _view(scene, shown, outward, CLOSE_MARGIN),
                  'whole bone, same direction': _view(scene, surface, outward, WHOLE_MARGIN)}
@@ -104,6 +101,27 @@ def _views(scene: Scene) -> dict[str, View]:
     return views | {name: _view(scene, surface, direction, WHOLE_MARGIN)}
 
 
+def whole_bone(scene: Scene) -> View:
+    """Return a view of the whole bone from the side that was touched."""
+    return _view(scene, scene.field.surface_points.astype(np.float64),
+                 _direction(scene, _touched(scene)), WHOLE_MARGIN)
+
+
+def _touched(scene: Scene) -> Array:
+    """Return the points on the bone (n, 3), m, bone frame; none without a pose."""
+    if scene.T_tracker_bone is None:
+        return np.zeros((0, 3))
+    return scene.points[scene.weights > INLIER_WEIGHT]
+
+
+def _direction(scene: Scene, touched: Array) -> Array:
+    """Return the direction (3,) from which most of the touched places are seen."""
+    if not len(touched):
+        return FRONT
+    outward: Array = scene.field.sample(touched)[1].mean(axis=0)
+    return FRONT if np.linalg.norm(outward) < 0.1 else outward     # touched on all sides
+
+
 def _view(scene: Scene, places: Array, direction: Array, margin: float) -> View:
     shape = OVERSAMPLING * SHAPE[0], OVERSAMPLING * SHAPE[1]
     return render(scene, looking_at(places, direction, shape, margin))
@@ -114,7 +132,7 @@ def _draw_view(figure: Figure, number: int, name: str, view: View, scene: Scene)
     gap = (SIZE[0] - 3 * SHAPE[1]) // 4
     left = gap + number * (gap + SHAPE[1])
     # pixel by pixel, so that nothing is resampled, and below the text
-    figure.figimage(_downsample(view.image), left, BELOW, zorder=-1)
+    figure.figimage(downsample(view.image), left, BELOW, zorder=-1)
     axes = figure.add_axes((left / SIZE[0], BELOW / SIZE[1], SHAPE[1] / SIZE[0],
                             SHAPE[0] / SIZE[1]))
     right, bottom = OVERSAMPLING * SHAPE[1], OVERSAMPLING * SHAPE[0]
@@ -133,10 +151,11 @@ def _draw_view(figure: Figure, number: int, name: str, view: View, scene: Scene)
     axes.set_ylim(bottom, 0)
 
 
-def _downsample(image: Array) -> Array:
+def downsample(image: Array) -> Array:
     """Return an image with the mean of every OVERSAMPLING x OVERSAMPLING pixels."""
-    rows, columns = image.shape[0] // OVERSAMPLING, image.shape[1] // OVERSAMPLING
-    mean = image.reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, 3).mean(axis=(1, 3))
+    rows, columns, channels = image.shape
+    rows, columns = rows // OVERSAMPLING, columns // OVERSAMPLING
+    mean = image.reshape(rows, OVERSAMPLING, columns, OVERSAMPLING, channels).mean(axis=(1, 3))
     return np.round(SHADES * np.clip(mean, 0.0, 1.0)) / SHADES
 
 

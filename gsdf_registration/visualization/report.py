@@ -4,103 +4,109 @@
 from __future__ import annotations
 
 import html
+import json
 import os
-from collections.abc import Mapping
 from importlib.resources import files
 from string import Template
 
-import numpy as np
-
-from gsdf_registration.common.result import InputError, RegistrationResult
-from gsdf_registration.common.rigid import Array
-from gsdf_registration.field import Field
-from gsdf_registration.visualization.report_table import sections
+from gsdf_registration.common.result import InputError
+from gsdf_registration.visualization import colours, report_head
+from gsdf_registration.visualization.report_content import ReportContent
+from gsdf_registration.visualization.report_pictures import pictures
+from gsdf_registration.visualization.report_plots import residual_plot, scale_bar, time_line
+from gsdf_registration.visualization.report_scene import scene
+from gsdf_registration.visualization.report_table import Rows, sections
 
 ACCURACY_NOTE = (
-    'The <b>predicted TRE</b> is the expected error at a place on the bone. It follows from the '
-    'noise of the points and from their distribution. The <b>residual</b> is the fit: how closely '
-    'the points lie on the model. <b>It is NOT the accuracy</b>: points on a small or regular area '
-    'can fit perfectly in the wrong place. Verify the pose on the bone with points that were not '
-    'used.')
-RESIDUAL_HEADING = (
-    '<h2>Residuals in the order of the points: how well they fit, NOT how accurate the pose is. '
-    'A trend along the sequence indicates drift or a wrong model.</h2>\n')
+    'The <b>error</b> is what to expect at a place on the bone. It follows from the noise of the '
+    'points and from their distribution. The <b>residual</b> is the fit: how closely the points '
+    'lie on the model. <b>It is NOT the accuracy</b>: points on a small or regular area can fit '
+    'perfectly in the wrong place. Verify the pose on the bone with points that were not used.')
 REFUSED_NOTE = (
-    'There is <b>no pose</b>. Only the points are shown, in the tracker frame. The numbers in the '
-    'table belong to the best candidate, which was rejected and must not be used.')
+    'There is <b>no pose</b>. What is drawn, and the numbers in the tables, belong to the best '
+    'candidate, which was rejected and must not be used.')
+NO_CANDIDATE_NOTE = 'There is <b>no pose</b>. Only the points are shown, in the tracker frame.'
 
 
-def require_plotly() -> None:
-    """Raise an `InputError` that says what to install if plotly is missing."""
+def require_pillow() -> None:
+    """Raise an `InputError` that says what to install if Pillow is missing."""
     try:
-        import plotly.graph_objects  # noqa: F401
+        import PIL.Image  # noqa: F401
     except ImportError:
-        raise InputError('a report needs plotly, which is not installed: '
+        raise InputError('a report needs Pillow, which is not installed: '
                          "pip install 'gsdf_registration[report]'") from None
 
 
-def write_report(path: str | os.PathLike[str], result: RegistrationResult, field: Field | None,
-                 points_tracker: Array, *, title: str, about: Mapping[str, str]) -> None:
+def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
     """
-    Write the report of a registration as one self-contained HTML file.
-
-    Parameters
-    ----------
-    path : str or path
-        The file; an existing one is replaced.
-    result : RegistrationResult
-        Accepted or refused.
-    field : Field or None
-        Of the bone; None if it could not be built, which is a refusal.
-    points_tracker : (n, 3) float, metres, tracker frame
-        The points in the order of ``result.residuals_m``; points that are not finite are not drawn.
-    title : str
-        What was registered, in a few words.
-    about : mapping of str to str
-        Further rows of the table: inputs, their hashes, times.
+    Write the report of a registration as one self-contained HTML file; replace an existing one.
 
     Raises
     ------
     InputError
-        If plotly is not installed or the file cannot be written.
+        If Pillow is not installed or the file cannot be written.
 
     """
-    require_plotly()
+    require_pillow()
     from msg_adapters.files import write_atomically
-    write_atomically(path, _page(result, _plots(result, field, np.asarray(points_tracker)),
-                                 title, about))
+    write_atomically(path, _page(content))
 
 
-def _plots(result: RegistrationResult, field: Field | None, points: Array) -> list[str]:
-    """Return the plots as HTML; the first one contains the script of plotly."""
-    from gsdf_registration.visualization.report_residuals import residual_figure
-    from gsdf_registration.visualization.report_scene import bone_scene, tracker_scene
-    if result.T_bone_tracker is None or field is None:
-        figures = {'scene': tracker_scene(points)}
-    else:
-        figures = {'scene': bone_scene(result, field, points)}
-        if result.residuals_m is not None:
-            figures['residuals'] = residual_figure(result)
-    return [figure.to_html(full_html=False, include_plotlyjs=number == 0, div_id=name,
-                           config={'displaylogo': False, 'responsive': True})
-            for number, (name, figure) in enumerate(figures.items())]
+def page(title: str, body: str) -> str:
+    """Return an HTML page in the style of the reports."""
+    return Template(_text('report_page.html')).substitute(
+        title=html.escape(title), style=_text('report.css'), body=body)
 
 
-def _page(result: RegistrationResult, plots: list[str], title: str,
-          about: Mapping[str, str]) -> str:
+def tables(sections: dict[str, Rows]) -> str:
+    """Return tables of names and values as HTML."""
+    return '\n'.join(
+        f'<section><h2>{html.escape(heading)}</h2><table>' + ''.join(
+            f'<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>'
+            for name, value in rows) + '</table></section>'
+        for heading, rows in sections.items())
+
+
+def _page(content: ReportContent) -> str:
+    result = content.result
     outcome = 'Registered' if result.success else f'Refused: {result.reason}'
-    template = Template(files(__package__).joinpath('report.html').read_text(encoding='utf-8'))
-    return template.substitute(
-        title=html.escape(title), outcome=html.escape(outcome),
+    note = (ACCURACY_NOTE if result.success
+            else NO_CANDIDATE_NOTE if content.pose is None else REFUSED_NOTE)
+    drawn = json.dumps(scene(content), allow_nan=False, separators=(',', ':'))
+    return page(content.title, Template(_text('report.html')).substitute(
+        title=html.escape(content.title), outcome=html.escape(outcome),
         kind='good' if result.success else 'bad', message=html.escape(result.message),
-        note=ACCURACY_NOTE if result.success else REFUSED_NOTE, table=_table(result, about),
-        scene=plots[0], more=''.join(RESIDUAL_HEADING + plot for plot in plots[1:]))
+        facts=report_head.facts(content), gauges=report_head.gauge_bars(content),
+        advice=report_head.advice(content), note=note, pictures=pictures(content),
+        scales=_scales(content), scene=drawn.replace('<', '\\u003c'), plots=_plots(content),
+        tables=tables(sections(content)), script=_text('report.js')))
 
 
-def _table(result: RegistrationResult, about: Mapping[str, str]) -> str:
-    lines = []
-    for heading, rows in sections(result, about).items():
-        lines.append(f'<tr><th colspan="2" scope="colgroup">{html.escape(heading)}</th></tr>')
-        lines += [f'<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>'
-                  for name, value in rows]
-    return '\n'.join(lines)
+def _scales(content: ReportContent) -> str:
+    """Return the legends of the colours, which are the same in every report with these limits."""
+    limits = content.config.limits
+    if content.pose is None or content.field is None:
+        return ''
+    scales = [scale_bar(colours.RESIDUAL, colours.max_residual(limits),
+                        'points: distance from the surface, mm (NOT the accuracy); grey: not used')]
+    if content.covariance is not None:
+        scales.append(scale_bar(colours.ERROR, colours.max_error(limits),
+                                'bone: 95 % of the errors are smaller, mm; line: border of the '
+                                'zone', limits.max_error))
+    return ''.join(scales)
+
+
+def _plots(content: ReportContent) -> str:
+    parts = {'When the points were collected': (
+                 time_line(content), 'A bar is a stroke, coloured by its RMS residual; '
+                 'blue lines: landmarks, orange lines: verification points.'),
+             'Residuals in the order of the points': (
+                 residual_plot(content), 'In mm, outside positive, on a fixed scale. They show how '
+                 'well the points fit, NOT how accurate the pose is. A trend indicates drift or a '
+                 'wrong model.')}
+    return ''.join(f'<section class="wide"><h2>{heading}</h2>{plot}<p class="note">{note}</p>'
+                   '</section>' for heading, (plot, note) in parts.items() if plot)
+
+
+def _text(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding='utf-8')
