@@ -168,7 +168,7 @@ def test_drops_any_stroke(field: Field) -> None:
     session.listen(lambda *event: events.append(event))
     assert session.drop_stroke(3).message == (
         'dropped stroke 3, 100 points; 300 points in 3 strokes left')
-    assert events[-1] == ('undo', 3)
+    assert events[-2:] == [('undo', 3), ('rejected', {'undone': 100})]
     assert np.unique(session.points().strokes).tolist() == [1, 2, 4]
     assert session.drop_stroke(3) == Answer(
         False, 'there is no stroke 3; the strokes are 1, 2, 4')
