@@ -241,8 +241,9 @@ def verification(values: Values, limits: Limits) -> str:
 
 
 def _parts(values: Values, message: str) -> list[str]:
-    """Return the parts of a message, without a first one that repeats the headline."""
-    parts = [_capitalized(part) for part in message.split('; ') if part]
+    """Return the parts of a message that are not shown elsewhere: headline, where to touch."""
+    parts = [_capitalized(part) for part in message.split('; ')
+             if part and part != values.get('touch_next')]
     headline = HEADLINES.get(values.get('state', ''), UNKNOWN)[0]
     return parts[1:] if parts[:1] == [headline] else parts
 

@@ -35,6 +35,8 @@ def test_a_message_does_not_repeat_the_headline() -> None:
     collecting = {'state': 'collecting'}
     shown = words(console_panel.verdict(collecting, 'collecting; 7 points in 1 stroke'))
     assert shown == 'Collecting 7 points in 1 stroke'
+    place = {'touch_next': 'touch the rim'}
+    assert words(console_panel.hints(place, 'a; b; touch the rim; c')) == 'C'
 
 
 @pytest.mark.parametrize(('state', 'headline'), [
