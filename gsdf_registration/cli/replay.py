@@ -166,7 +166,7 @@ def replay_bag(bag: str, job: Job) -> Outcome:
         if truth is not None and frame_id in ('', truth.frame_id):
             error_text = true_error(result, bone, truth.T_tracker_bone)
     for note in notes:
-        print(f'note: {bag}: {note}', file=sys.stderr)
+        print('note:', note if bag in note else f'{bag}: {note}', file=sys.stderr)
     if notes:
         remark = ('the recording is not complete' if not recording.complete
                   else f'see the {format_count(len(notes), "note")} on the recording')
