@@ -57,6 +57,8 @@ class ConsoleScene:
         self._corners: Array | None = None      # (2, 3) m, of the box around the bone
         self._tip: Array | None = None
         self._drawn: dict[str, tuple[Marker, Any]] = {}
+        # corners of the bone's triangles, the row of each vertex among them, and the surface
+        self._welded: tuple[Array, np.ndarray, trimesh.Trimesh] | None = None
         self._landmarks: list[Any] = []
         self._shown_landmarks: tuple[Any, int] | None = None
         self._light()
@@ -154,10 +156,12 @@ class ConsoleScene:
         points = points @ pose[:3, :3].T + pose[:3, 3]
         shade = _bytes(marker.colours, len(points))
         if marker.shape is Shape.TRIANGLE_LIST:
-            vertices, first, faces = _weld(points)
-            self._corners = np.array([vertices.min(axis=0), vertices.max(axis=0)], dtype=float)
-            return scene.add_glb(name, _glb(vertices, faces, _linear(shade[first])),
-                                 cast_shadow=False, receive_shadow=False)
+            if self._welded is None or not np.array_equal(self._welded[0], points):
+                self._welded = (points, *_weld(points))     # else only its colours have changed
+            _, first, surface = self._welded
+            self._corners = np.array(surface.bounds, dtype=float)
+            return scene.add_glb(name, _glb(surface, _linear(shade[first])), cast_shadow=False,
+                                 receive_shadow=False)
         if marker.shape is Shape.SPHERE_LIST:
             if marker.ns == 'bone':     # a model without faces
                 self._corners = np.array([points.min(axis=0), points.max(axis=0)])
@@ -222,17 +226,17 @@ def _linear(shade: np.ndarray) -> np.ndarray:
     return found
 
 
-def _weld(corners: Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the vertices of triangles (3 m, 3), the row of each among them, and the faces."""
+def _weld(corners: Array) -> tuple[np.ndarray, trimesh.Trimesh]:
+    """Return the row of each vertex among the corners (3 m, 3) of triangles, and the surface."""
     rounded = np.ascontiguousarray(np.round(corners, 7))
     _, first, inverse = np.unique(rounded.view(np.dtype((np.void, 24))).ravel(), return_index=True,
                                   return_inverse=True)
-    return (corners[first].astype(np.float32), first,
-            inverse.reshape(-1, 3).astype(np.uint32))
+    return first, trimesh.Trimesh(corners[first].astype(np.float32), inverse.reshape(-1, 3),
+                                  process=False)
 
 
-def _glb(vertices: np.ndarray, faces: np.ndarray, shade: np.ndarray) -> bytes:
-    """Return a mesh with a colour for each vertex as GLB; glTF surfaces are metal by default."""
+def _glb(surface: trimesh.Trimesh, shade: np.ndarray) -> bytes:
+    """Return a surface with a colour for each vertex as GLB; glTF surfaces are metal by default."""
     def add_material(tree: dict[str, Any]) -> None:
         tree['materials'] = [{'doubleSided': True, 'pbrMetallicRoughness': {
             'metallicFactor': 0.0, 'roughnessFactor': 0.75}}]
@@ -240,5 +244,6 @@ def _glb(vertices: np.ndarray, faces: np.ndarray, shade: np.ndarray) -> bytes:
             for primitive in mesh['primitives']:
                 primitive['material'] = 0
 
-    scene = trimesh.Scene(trimesh.Trimesh(vertices, faces, vertex_colors=shade, process=False))
-    return bytes(export_glb(scene, include_normals=True, tree_postprocessor=add_material))
+    surface.visual.vertex_colors = shade
+    return bytes(export_glb(trimesh.Scene(surface), include_normals=True,
+                            tree_postprocessor=add_material))
