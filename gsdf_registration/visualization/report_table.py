@@ -110,7 +110,7 @@ def _landmarks(content: ReportContent) -> Rows:
     landmarks = content.landmarks
     if content.pose is None:
         return [(name, 'touched') for name in landmarks.names]
-    touched = transform(inverse(content.pose), landmarks.touched) if len(landmarks) else []
+    touched = transform(inverse(content.pose), landmarks.touched)
     return [(name, fits.get(name) or f'{mm(float(np.linalg.norm(at - model)))} from its place; '
              'only an initial guess') for name, at, model in zip(
                  landmarks.names, touched, landmarks.model)] + [
