@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 import viser
 from trimesh.exchange.gltf import export_glb
+from trimesh.visual import ColorVisuals
 
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from gsdf_registration.visualization import colours
@@ -244,6 +245,6 @@ def _glb(surface: trimesh.Trimesh, shade: np.ndarray) -> bytes:
             for primitive in mesh['primitives']:
                 primitive['material'] = 0
 
-    surface.visual.vertex_colors = shade
+    surface.visual = ColorVisuals(surface, vertex_colors=shade)
     return bytes(export_glb(trimesh.Scene(surface), include_normals=True,
                             tree_postprocessor=add_material))
