@@ -159,6 +159,7 @@ def _show_result(args: argparse.Namespace, config: Config, field: Field,
 
 def _wait(page: ConsolePage) -> None:
     """Serve the page until Ctrl-C."""
+    page.show_tracker(None)
     try:
         threading.Event().wait()
     finally:

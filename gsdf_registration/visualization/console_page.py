@@ -98,7 +98,8 @@ class ConsolePage:
         self._lock = threading.RLock()
         self._values: Mapping[str, str] | None = None
         self._message, self._flash = '', False
-        self._limits, self._places, self._tracker = Limits(), LandmarkPlaces(), Tracker()
+        self._limits, self._places = Limits(), LandmarkPlaces()
+        self._tracker: Tracker | None = Tracker()
         self._buttons: dict[str, Any] = {}
         self._stroke_rows: dict[int, str] = {}
         self._stroke_handles: list[Any] = []
@@ -137,8 +138,8 @@ class ConsolePage:
             self._set('legend', console_panel.legend(limits))
             self._refresh()
 
-    def show_tracker(self, tracker: Tracker) -> None:
-        """Show whether the probe is seen."""
+    def show_tracker(self, tracker: Tracker | None) -> None:
+        """Show whether the probe is seen; None: there is no tracker."""
         self._tracker = tracker
         self._set('tracking', console_panel.tracking(tracker, self._values))
 

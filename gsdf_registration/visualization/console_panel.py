@@ -179,9 +179,11 @@ def legend(limits: Limits) -> str:
     return ''.join(scales)
 
 
-def tracking(tracker: Tracker, values: Values | None = None) -> str:
-    """Return whether the tracker sees the probe, and where to touch next."""
-    if tracker.silence is None:
+def tracking(tracker: Tracker | None, values: Values | None = None) -> str:
+    """Return whether the tracker, if there is one, sees the probe, and where to touch next."""
+    if tracker is None:
+        seen = ''
+    elif tracker.silence is None:
         seen = '<span class="warn">Probe not seen yet</span>'
     elif tracker.silence > 1.0:
         seen = f'<span class="bad">Probe not seen for {tracker.silence:.0f} s</span>'

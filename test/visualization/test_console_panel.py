@@ -94,6 +94,7 @@ def test_says_whether_the_probe_is_seen(tracker: Tracker, expected: str) -> None
 def test_names_the_place_to_touch_next() -> None:
     shown = console_panel.tracking(Tracker(80.0, 0.01), {'touch_next': 'touch the rim'})
     assert words(shown).endswith('samples per second Touch the rim')
+    assert words(console_panel.tracking(None)) == ''
 
 
 def test_verification_points_stand_beside_their_limit() -> None:
