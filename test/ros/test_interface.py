@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from ros_support import ROOT, Client, NodeProcess, Tracker
 
 from gsdf_registration.common.result import Reason
@@ -36,6 +37,8 @@ def test_documents_are_up_to_date(start_node: StartNode) -> None:
 
 
 def test_describes_every_value_of_the_status(tracker: Tracker) -> None:
+    sigmas = Parameter('landmarks.sigmas', value=[5e-3] * len(tracker.truth.landmarks_tracker))
+    assert tracker.client.set_parameters(sigmas) == ''      # else there is no landmark.*
     tracker.touch_landmarks(np.eye(4))
     tracker.drag(np.eye(4))
     seen = set(tracker.client.status(state='ready'))
@@ -44,6 +47,8 @@ def test_describes_every_value_of_the_status(tracker: Tracker) -> None:
     tracker.client.spin_until(lambda: 'tip is' in tracker.client.ask('verify').message,
                               'no verification is possible')
     seen |= set(tracker.client.status())
+    assert tracker.client.set_parameters(
+        Parameter(sigmas.name, Parameter.Type.DOUBLE_ARRAY, [])) == ''
     assert tracker.client.ask('calibrate_tip').success
     seen |= set(tracker.client.status(calibration='calibrate_tip'))
     assert not tracker.client.ask('calibrate_tip').success      # there are no poses
