@@ -75,7 +75,7 @@ def test_a_real_hand_has_published_speeds() -> None:
             for array, probe in zip(arrays, strokes.T_tracker_body)]
     speeds = 1e3 * np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(strokes.stamps)
     median, fast = np.percentile(speeds, [50.0, 99.0])
-    assert 20.0 < median < 35.0 and 90.0 < fast < 170.0     # mm/s; published: 27 and 127
+    assert 18.0 < median < 40.0 and 90.0 < fast < 170.0     # mm/s; published: 27 and 127
     assert PLAN.hand is REAL_HAND
 
 
