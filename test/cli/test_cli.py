@@ -24,7 +24,7 @@ T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
 LANDMARKS = np.array([[0.03, 0.0, 0.0], [0.0, 0.045, 0.0], [0.0, 0.0, 0.07]])
 KEYS = {
     'schema', 'success', 'reason', 'message', 'grade', 'T_tracker_bone', 'bone_pose', 'covariance',
-    'points', 'rejected', 'sigma_m', 'residual_rms_m', 'predicted_tre_m', 'zone',
+    'points', 'rejected', 'recording', 'sigma_m', 'residual_rms_m', 'predicted_tre_m', 'zone',
     'weakest_direction', 'landmarks', 'ambiguity', 'timing_s', 'inputs', 'config', 'version'
 }
 HEADER = 'name,model_x,model_y,model_z,tracker_x,tracker_y,tracker_z\n'
