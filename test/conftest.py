@@ -27,7 +27,8 @@ SOURCES = ('package.xml', 'setup.py', 'setup.cfg', 'pyproject.toml', 'README.md'
 # The optional package that a module or the modules of a folder import.  No module skips itself
 # while it is imported: with the pytest plugin of launch_testing that ends the collection.
 NEEDS = {
-    'cli/test_report_option.py': 'PIL', 'cli/test_result_schema.py': 'jsonschema', 'cli/test_show.py': 'matplotlib',
+    'cli/test_report_option.py': 'PIL', 'cli/test_result_schema.py': 'jsonschema',
+    'cli/test_show.py': 'matplotlib',
     'msg_adapters/test_dicom_seg.py': 'highdicom',
     'msg_adapters/test_igtl.py': 'pyigtl',
     'msg_adapters/test_markers.py': 'visualization_msgs',

@@ -35,9 +35,10 @@ def test_plugin_of_launch_testing_collects_all_tests() -> None:
 
 
 def test_modules_that_need_a_missing_package_are_skipped_with_the_reason() -> None:
-    output = run_pytest('-p', 'launch_testing_hook', 'test/visualization/test_report.py',
-                        'test/visualization/test_colours.py', 'test/ros', without='PIL rclpy')
-    assert 'PIL is not installed' in output and 'rclpy is not installed' in output
+    output = run_pytest('-p', 'launch_testing_hook', 'test/visualization/test_picture.py',
+                        'test/visualization/test_colours.py', 'test/ros',
+                        without='matplotlib rclpy')
+    assert 'matplotlib is not installed' in output and 'rclpy is not installed' in output
     assert ' passed' in output and ' error' not in output
 
 
