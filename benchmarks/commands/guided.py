@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.limit > 0.0:
         raise InputError('--limit must be more than 0')
     if args.plot:
-        from gsdf_registration.visualization import require_plotly
+        from benchmarks.require_plotly import require_plotly
         require_plotly()
     cases = find_cases(bones(args.bones))
     config = read_config(args.config).replaced({'search.threads': 1})

@@ -77,8 +77,8 @@ def run(args: argparse.Namespace) -> int:
     from benchmarks.paper import experiment
     from benchmarks.paper.tables import markdown, tsv
     from benchmarks.protocol.cases import find_cases
+    from benchmarks.require_plotly import require_plotly
     from gsdf_registration.common.config import Config
-    from gsdf_registration.visualization import require_plotly
     from msg_adapters.files import write_atomically
 
     require_plotly()

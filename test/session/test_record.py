@@ -77,7 +77,7 @@ def test_unknown_values_are_saved_as_null(field: Field,
     loaded = session.status().result
     assert loaded == dataclasses.replace(
         result, sigma_m=None, T_tracker_bone=loaded.T_tracker_bone, residuals_m=loaded.residuals_m,
-        weights=loaded.weights)
+        weights=loaded.weights, rejected=loaded.rejected)
 
 
 def test_rejects_a_session_of_another_bone(field: Field) -> None:
