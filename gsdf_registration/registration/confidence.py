@@ -25,7 +25,7 @@ from gsdf_registration.solver import PARAMETERS, Solution, before, nearest_neigh
 
 # The residuals show the part of the error of the model that no motion explains. The other part is
 # larger: an error that varies slowly looks like a motion. From `benchmarks calibration`.
-MODEL_FACTOR = 2.0
+MODEL_FACTOR = 2.5
 MIN_SHARE = 0.1     # of the information that doubtful points may leave
 # 95 % quantile of chi-square for 1 to 3 degrees of freedom
 FREEDOM = np.linspace(1.0, 3.0, 65)
