@@ -41,7 +41,7 @@ from msg_adapters.session_file import now
 
 SCHEMA = 'gsdf-journal/3'
 # repeated at the start of the next file
-PERSISTENT = frozenset({'model', 'collecting', 'tip'})
+PERSISTENT = frozenset({'model', 'collecting', 'tip', 'tip_radius'})
 WORTH_KEEPING = frozenset({'point', 'landmark', 'verification', 'registration'})
 MAX_SIZE = 1_000_000_000    # bytes of a journal that is read
 MAX_HEAD = 1000
@@ -153,9 +153,10 @@ class SessionJournal:
         """Start a file with a whole session."""
         persistent = {'model': _body('model', session['model_sha256']),
                       'collecting': _body('collecting', session['collecting'])}
-        tip = session['parameters'].get('probe.tip')
-        if tip:
-            persistent['tip'] = _body('tip', tip)
+        for name in ('tip', 'tip_radius'):
+            value = session['parameters'].get(f'probe.{name}')
+            if value:
+                persistent[name] = _body(name, value)
         if self._renewing:
             self._close_file()
         elif self._end(_session_bodies(session)):
