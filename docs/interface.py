@@ -60,9 +60,9 @@ PUBLISHED = {
     '~/guidance': 'places to touch next, best first; none: no touch is proposed',
     '~/status': 'state, points kept and rejected by cause, reason, what to do next; on change',
     '/diagnostics': 'the same every second',
-    '~/events': 'what the operator did, for replays: one message a service call with its answer, and '
-                'one a change of parameters, model or state; the last 2000 are kept for late '
-                'joiners; see [recordings](files.md)',
+    '~/events': 'what the operator did, for replays: one message a service call with its answer, '
+                'and one a change of parameters, model or state; the last 2000 are kept for late '
+                'joiners; see [recordings](recordings.md)',
     '~/points': 'collected points in the bone frame: x y z residual weight stroke',
     '~/markers': 'the bone coloured by the error (95 %) with the border of the zone, the points '
                  'by residual, the next place to touch',
