@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseArray
 from lifecycle_msgs.msg import Transition
 from rclpy.parameter import Parameter
 from ros_support import Client, NodeProcess, Tracker
@@ -92,9 +92,9 @@ def test_hints_at_faults_of_the_wiring(start_node: StartNode) -> None:
         client.await_state('active')
         assert 'ignored parameters that this program does not have: robot_name' in node.log
         assert 'listening on /probe/tip (geometry_msgs/PointStamped)' in node.log
-        wrong = client.node.create_publisher(PoseStamped, '/probe/tip', 1)
+        wrong = client.node.create_publisher(PoseArray, '/probe/tip', 1)
         client.spin_until(
-            lambda: '/probe/tip is published as geometry_msgs/PoseStamped' in
+            lambda: '/probe/tip is published as geometry_msgs/PoseArray' in
             client.status()['message'], 'the wrong type is not reported')
         client.node.destroy_publisher(wrong)
 
