@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from gsdf_registration.common.downsampling import farthest_point_sample
 from gsdf_registration.common.numba_options import kernel
@@ -260,10 +261,9 @@ def _group(x: Array, e: Array, J: Array, weight: Array, precision: Array, max_ce
     N, sums = total(np.ones(len(e))), total(e)
     within = float((w * (e - (sums / N)[which])**2).sum())
     centroids = np.stack([total(axis) for axis in x.T], axis=1) / N[:, None]
-    distance = np.sqrt(((centroids[:, None] - centroids)**2).sum(axis=2))
     root = np.sqrt(N)
     return _Cells(which, root, np.stack([total(column) for column in J.T], axis=1) / root[:, None],
-                  sums / root, distance, within, float(weight.sum()))
+                  sums / root, cdist(centroids, centroids), within, float(weight.sum()))
 
 
 @kernel

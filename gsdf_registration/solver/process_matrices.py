@@ -46,40 +46,44 @@ def tridiagonalize(S, rows, diagonal, beside):
     """
     m = len(S)
     v, p = np.zeros(m), np.zeros(m)
-    for k in range(m - 1):
+    # from the last row up: loops that start at zero vectorize
+    for k in range(m - 1, 0, -1):
         diagonal[k] = S[k, k]
         squared = 0.0
-        for i in range(k + 1, m):
+        for i in range(k):
             v[i] = S[k, i]
             squared += v[i] * v[i]
         length = math.sqrt(squared)
-        beside[k] = -length if v[k + 1] > 0.0 else length
-        v[k + 1] -= beside[k]
-        norm = squared - 2.0 * beside[k] * S[k, k + 1] + beside[k] * beside[k]
-        if k == m - 2 or norm <= 0.0:
-            if k == m - 2:
-                beside[k] = S[k, k + 1]
+        beside[k - 1] = -length if v[k - 1] > 0.0 else length
+        norm = 2.0 * (squared - beside[k - 1] * v[k - 1])
+        v[k - 1] -= beside[k - 1]
+        if norm <= 0.0:
             continue
         beta = 2.0 / norm
+        # p = beta S v - (beta^2 v^T S v / 2) v; as S is symmetric, its rows are summed, which is
+        # faster than products of rows
+        for i in range(k):
+            p[i] = 0.0
+        for j in range(k):
+            factor = beta * v[j]
+            for i in range(k):
+                p[i] += factor * S[j, i]
         inner = 0.0
-        for i in range(k + 1, m):
-            total = 0.0
-            for j in range(k + 1, m):
-                total += S[i, j] * v[j]
-            p[i] = beta * total
+        for i in range(k):
             inner += p[i] * v[i]
-        for i in range(k + 1, m):
+        for i in range(k):
             p[i] -= 0.5 * beta * inner * v[i]
-        for i in range(k + 1, m):
-            for j in range(k + 1, m):
-                S[i, j] -= v[i] * p[j] + p[i] * v[j]
+        for i in range(k):
+            v_i, p_i = v[i], p[i]
+            for j in range(k):
+                S[i, j] -= v_i * p[j] + p_i * v[j]
         for row in rows:
             total = 0.0
-            for i in range(k + 1, m):
+            for i in range(k):
                 total += row[i] * v[i]
-            for i in range(k + 1, m):
+            for i in range(k):
                 row[i] -= beta * total * v[i]
-    diagonal[m - 1] = S[m - 1, m - 1]
+    diagonal[0] = S[0, 0]
 
 
 @kernel
