@@ -248,7 +248,7 @@ def test_interrupt_exits_quietly(capsys: pytest.CaptureFixture[str],
                                  monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
-    monkeypatch.setattr('gsdf_registration.session.replay.replay', interrupted)
+    monkeypatch.setattr('gsdf_registration.session.replay.replay_events', interrupted)
     assert main(['replay', 'bag_a', '--model', 'bone.ply', '--config', 'coarse.yaml']) == 130
     assert capsys.readouterr() == ('', '')
 

@@ -47,8 +47,8 @@ def test_points_that_were_not_used_have_no_residual_and_no_weight(candidate: Can
 def test_the_predicted_tre_is_given_at_targets_and_over_the_bone(candidate: Candidate) -> None:
     assert candidate.confidence is not None
     tip = candidate.confidence.predicted_tre(np.array([[0.0, 0.0, 0.06]]))
-    assert candidate.predicted_tre_m == {'tip': tip[0], 'rms': rigid.rms(candidate.surface_tre),
-                                         'max': candidate.surface_tre.max()}
+    tre = candidate.confidence.predicted_tre(bone_field().surface_points.astype(np.float64))
+    assert candidate.predicted_tre_m == {'tip': tip[0], 'rms': rigid.rms(tre), 'max': tre.max()}
 
 
 def test_without_confidence_there_is_no_accuracy(candidate: Candidate) -> None:

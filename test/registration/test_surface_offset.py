@@ -36,7 +36,8 @@ def centres(hip_surface: tuple[Array, np.ndarray]) -> Array:
 
 def registered(centres: Array, hip: Field, radius: float,
                start: Array = T_TRACKER_BONE) -> RegistrationResult:
-    config = Config().replaced({'probe.tip_radius': radius, 'collect.mode': 'strokes'})
+    config = Config().replaced({'probe.tip_radius': radius, 'collect.mode': 'strokes',
+                                'model.surface_error': 0.0})
     return register(centres, hip, config, T_tracker_bone=start)
 
 

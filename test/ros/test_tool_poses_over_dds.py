@@ -41,7 +41,7 @@ class ToolTracker(MovingTracker):
         """Publish poses (n, 4, 4) of the tool, without the array."""
         for each in T:
             self._stamp += 1.0 / rate
-            self._publishers['/probe/tip'].publish(
+            self._publishers['/pointer/measured_cp'].publish(
                 ros.pose_msg(each, 'tracker', ros.seconds_to_stamp(self._stamp)))
             time.sleep(0.0005)      # no faster than a real tracker
 
@@ -61,7 +61,7 @@ def node(parameters: dict[str, Any],
     names = [*parameters['landmarks.names'], 'hip_centre']
     positions = parameters['landmarks.positions'].replace(']', ', 0.01, 0.02, 0.03]')
     node = NodeProcess(tmp_path_factory.mktemp('tool') / 'log', 'tool', **{
-        **parameters, 'probe.topics': ['/probe/tip'], 'reference.topic': ARRAY,
+        **parameters, 'probe.topics': ['/pointer/measured_cp'], 'reference.topic': ARRAY,
         'live.enabled': 'false', 'landmarks.names': names, 'landmarks.positions': positions})
     yield node
     node.stop()
@@ -78,7 +78,7 @@ def tool(node: NodeProcess) -> Iterator[ToolTracker]:
 
         def place(stamp: float, position: np.ndarray) -> np.ndarray:
             return transform(sway.pose(stamp) @ inverse(sway.T_tracker_body), position)
-        tracker = ToolTracker(client, ['/probe/tip'], 'tracker',
+        tracker = ToolTracker(client, ['/pointer/measured_cp'], 'tracker',
                               reliable(client, PoseStamped, ARRAY), array_at, place)
         tracker.sway = sway
         tracker.await_listener()
@@ -146,7 +146,7 @@ def test_counts_poses_without_a_unit_quaternion(tool: ToolTracker) -> None:
         tool._stamp += 0.05
         message = ros.pose_msg(np.eye(4), 'tracker', ros.seconds_to_stamp(tool._stamp))
         message.pose.orientation.w = w
-        tool._publishers['/probe/tip'].publish(message)
+        tool._publishers['/pointer/measured_cp'].publish(message)
     tool.publish_motion_until(tool._stamp + 0.1)
     client.status(received='4', kept='1', rejected__bad_quaternion='3')
     client.collect(False)
@@ -192,4 +192,5 @@ def test_follows_the_type_that_is_published(tool: ToolTracker) -> None:
             client.node.destroy_publisher(publisher)
             assert client.ask('clear').success
     finally:
-        assert client.set_parameters(Parameter('probe.topics', value=['/probe/tip'])) == ''
+        back = Parameter('probe.topics', value=['/pointer/measured_cp'])
+        assert client.set_parameters(back) == ''

@@ -189,12 +189,11 @@ def test_is_invariant_to_the_unit_of_length(seed: int, factor: float) -> None:
         estimates=Estimates(factor * start.estimates.noise, factor * start.estimates.local_sd,
                             start.estimates.inlier_ratio,
                             factor * start.estimates.max_local_sd))
-    scaled_config = dataclasses.replace(CONFIG, model_error=CONFIG.model_error * factor)
     metres = refine(points, field, start, CONFIG, reuse_correction=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(local_solver, 'INTERFERENCE_RANGE', INTERFERENCE_RANGE * factor)
         patch.setattr(local_solver, 'TOLERANCE', local_solver.TOLERANCE * factor)
-        other = refine(factor * points, scaled_field, scaled_start, scaled_config,
+        other = refine(factor * points, scaled_field, scaled_start, CONFIG,
                        reuse_correction=False)
     T = other.T_bone_tracker.copy()
     T[:3, 3] /= factor

@@ -9,12 +9,13 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.parameter import Parameter
-from ros_support import ROOT, NodeProcess, Tracker
+from ros_support import ROOT, Client, NodeProcess, Tracker
 from rosbags.rosbag2 import Reader
 
 from msg_adapters import ros
@@ -46,6 +47,24 @@ class RecorderProcess:
         self.process.send_signal(number)
         out, error = self.process.communicate(timeout=30.0)
         return self.process.returncode, out, error
+
+
+@pytest.fixture(scope='module')
+def shared_node(parameters: dict[str, Any],
+                tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    """Start a node for these tests: late subscribers also receive the events of earlier ones."""
+    node = NodeProcess(tmp_path_factory.mktemp('recorded') / 'log', 'recorded', **parameters)
+    yield node
+    node.stop()
+
+
+@pytest.fixture(scope='module')
+def shared_tracker(shared_node: NodeProcess) -> Iterator[Tracker]:
+    with Client(shared_node) as client:
+        client.await_state('active')
+        tracker = Tracker(client)
+        tracker.await_listener()
+        yield tracker
 
 
 @pytest.fixture
