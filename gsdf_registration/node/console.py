@@ -9,8 +9,10 @@ twice.
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
+import threading
 from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.common.command_line import positive_number
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from gsdf_registration.visualization.console_page import ConsolePage
 
 LOOPBACK = ('127.0.0.1', 'localhost', '::1')
+STOP_PATIENCE = 3.0     # s, for the page and its browsers
 
 
 def main(args: list[str] | None = None) -> int:
@@ -78,11 +81,20 @@ def _run(options: argparse.Namespace, args: list[str] | None) -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        for each in (served, link):
-            if each is not None:
-                each.stop()
+        stopping = threading.Thread(target=_stop, args=(served, link), daemon=True)
+        stopping.start()
+        stopping.join(STOP_PATIENCE)
         rclpy.try_shutdown()
+        if stopping.is_alive():     # the page waits for a browser that does not answer
+            sys.stdout.flush()
+            os._exit(0)
     return 0
+
+
+def _stop(*parts: ServedPage | ConsoleLink | None) -> None:
+    for part in parts:
+        if part is not None:
+            part.stop()
 
 
 class ServedPage:

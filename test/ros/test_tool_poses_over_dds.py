@@ -37,6 +37,11 @@ class ToolTracker(MovingTracker):
             5.0 * transform(inverse(T_tracker_array), position))
         return ros.pose_msg(from_rt(R, position - R @ np.array(TIP)), frame_id, stamp)
 
+    def send(self, positions: np.ndarray, steps: np.ndarray | float = 0.0125,
+             topic: str = '/pointer/measured_cp', frame_id: str = 'tracker') -> None:
+        """Publish poses of the tool with the tip at these positions."""
+        super().send(positions, steps, topic, frame_id)
+
     def send_poses(self, T: np.ndarray, rate: float) -> None:
         """Publish poses (n, 4, 4) of the tool, without the array."""
         for each in T:
