@@ -38,9 +38,9 @@ class ToolTracker(MovingTracker):
         return ros.pose_msg(from_rt(R, position - R @ np.array(TIP)), frame_id, stamp)
 
     def send(self, positions: np.ndarray, steps: np.ndarray | float = 0.0125,
-             topic: str = '/pointer/measured_cp', frame_id: str = 'tracker') -> None:
-        """Publish poses of the tool with the tip at these positions."""
-        super().send(positions, steps, topic, frame_id)
+             topic: str = '', frame_id: str = 'tracker') -> None:
+        """Publish poses of the tool with the tip at these positions, always on its own topic."""
+        super().send(positions, steps, '/pointer/measured_cp', frame_id)
 
     def send_poses(self, T: np.ndarray, rate: float) -> None:
         """Publish poses (n, 4, 4) of the tool, without the array."""
