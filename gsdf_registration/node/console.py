@@ -85,7 +85,8 @@ def _run(options: argparse.Namespace, args: list[str] | None) -> int:
         stopping.start()
         stopping.join(STOP_PATIENCE)
         rclpy.try_shutdown()
-        if stopping.is_alive():     # the page waits for a browser that does not answer
+        if link is not None and served is not None:
+            # at once: a thread may wait for the answer of a node that has ended
             sys.stdout.flush()
             os._exit(0)
     return 0
