@@ -14,7 +14,7 @@ class Withdrawal(str, Enum):
     MODEL_CHANGED = 'model_changed'         # another bone model was loaded
     CLOCK_JUMPED = 'clock_jumped'           # the clock of the points or of the node went back
     POINTS_DROPPED = 'points_dropped'       # without the dropped points there is no registration
-    TIP_CHANGED = 'tip_changed'             # the tip of the probe was calibrated or set anew
+    TIP_CHANGED = 'tip_changed'             # the tip of the probe was calibrated or set again
     SESSION_LOADED = 'session_loaded'       # a saved session without a pose was loaded
     DEACTIVATED = 'deactivated'             # the node was deactivated or is shutting down
     NOT_REGISTERED = 'not_registered'       # there has been no pose yet

@@ -93,7 +93,7 @@ class Air:
         self._keep(tuple(row) for row in rows)
 
     def apply_tip(self, tip: Sequence[float]) -> None:
-        """Compute the positions anew from the poses of the tool, see `with_tip`."""
+        """Compute the positions again from the poses of the tool, see `with_tip`."""
         self.restore(with_tip(self.rows, tip))
 
 

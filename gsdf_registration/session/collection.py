@@ -177,7 +177,7 @@ class Collection:
         return not np.isnan(self._points.tools[:self._size, 0]).all()
 
     def apply_tip(self, tip: Sequence[float]) -> None:
-        """Compute the positions of the points anew from their tool poses, see `tip_positions`."""
+        """Compute the positions of the points again from their tool poses, see `tip_positions`."""
         points = self.points()
         rows = ~np.isnan(points.tools[:, 0])
         positions = points.positions.copy()

@@ -65,7 +65,7 @@ class LandmarkCapture:
             replace(each, sigma_m=config.sigma_of(each.name)) for each in self.captured]
 
     def apply_tip(self, tip: Sequence[float]) -> None:
-        """Compute the touched positions anew from the tool poses, see `tip_position`."""
+        """Compute the touched positions again from the tool poses, see `tip_position`."""
         self.captured = [
             each if each.tool is None else
             replace(each, tracker=np.array(tip_position(each.tool, tip)))

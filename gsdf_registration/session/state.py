@@ -359,7 +359,7 @@ class SessionState:
         accepted = self.accepted
         if accepted is not None and accepted.uses_tools:
             self.withdraw_pose(Withdrawal.TIP_CHANGED, 'the pose is withdrawn because the tip of '
-                               'the probe was calibrated or set anew: register again')
+                               'the probe was calibrated or set again: register again')
         self._report('tip', tip)
 
     def air_positions(self) -> Callable[[], Array]:

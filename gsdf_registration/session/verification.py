@@ -86,7 +86,7 @@ def make_verification(tip: StationaryTip, distance: float,
 def with_tip(verifications: Sequence[Verification],
              tip: Sequence[float]) -> list[Verification]:
     """
-    Return the verification points with their positions computed anew from the tool poses.
+    Return the verification points with their positions computed again from the tool poses.
 
     Their distances to the surface stay those that were measured, see `measured_again`.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Test sessions of poses of a tool: what a tip that is known later, or set anew, changes."""
+"""Test sessions of poses of a tool: what a tip that is known later, or set again, changes."""
 
 from __future__ import annotations
 
