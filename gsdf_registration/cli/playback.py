@@ -37,8 +37,9 @@ def show_session(page: ConsolePage, scene: MarkerScene, session: Session, field:
             or result.covariance is None or result.residuals_m is None or result.weights is None):
         page.show_markers(scene.bone(field))
         return
+    contacts = field.contacts_at(result.T_tracker_bone, points.positions)
     page.show_markers(scene.pose(field, session.config.limits, result.T_tracker_bone,
-                                 result.covariance, points.positions, result.residuals_m,
+                                 result.covariance, contacts, result.residuals_m,
                                  result.weights, ()))
 
 
@@ -169,7 +170,8 @@ class Playback:
     def _on_assessment(self, found: FullAssessment) -> None:
         if found.T_tracker_bone is None or found.covariance is None:
             return
+        contacts = self._field.contacts_at(found.T_tracker_bone, found.points.positions)
         with self._lock:
             self._page.show_markers(self._scene.pose(
                 self._field, self._session.config.limits, found.T_tracker_bone, found.covariance,
-                found.points.positions, found.residuals_m, found.weights, found.next_touches))
+                contacts, found.residuals_m, found.weights, found.next_touches))

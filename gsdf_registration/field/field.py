@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.field.sample import FieldArrays, sample_many
 
 
@@ -113,6 +113,10 @@ class Field:
             normals /= np.linalg.norm(normals, axis=1, keepdims=True)
             contacts[finite] -= self.tip_radius * normals
         return contacts
+
+    def contacts_at(self, T_tracker_bone: Array, positions: Array) -> Array:
+        """Return `contacts` (n, 3), bone frame, of tips (n, 3), m, tracker frame, at a pose."""
+        return self.contacts(transform(inverse(T_tracker_bone), positions))
 
     def sample(self, points: ArrayLike) -> tuple[Array, Array]:
         """

@@ -14,7 +14,7 @@ from visualization_msgs.msg import MarkerArray
 
 from gsdf_registration.common.config import LimitsConfig
 from gsdf_registration.common.result import NextTouch
-from gsdf_registration.common.rigid import Array, inverse, transform
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
 from gsdf_registration.visualization.marker_scene import MarkerScene
@@ -60,24 +60,16 @@ class ScenePublisher:
 
         Parameters
         ----------
-        field : Field
-            For the tip of the probe; points are drawn where the tip touches the bone.
-        limits : LimitsConfig
-            Scales of the colours.
-        T_tracker_bone : (4, 4) float
-        covariance : (6, 6) float
-            Of the pose, REP-103 order.
+        field, limits, T_tracker_bone, covariance, residuals, weights, next_touches
+            As in `MarkerScene.pose`; the field is that for the tip of the probe.
         positions : (n, 3) float, m, tracker frame
-        residuals, weights, strokes : (n,)
-            Of the points; residuals in m, NaN if unknown.
-        next_touches : sequence of NextTouch
-            Best first.
+        strokes : (n,) int
 
         """
-        self._publish(self._scene.pose(field, limits, T_tracker_bone, covariance, positions,
+        contacts = field.contacts_at(T_tracker_bone, positions)
+        self._publish(self._scene.pose(field, limits, T_tracker_bone, covariance, contacts,
                                        residuals, weights, next_touches))
-        on_bone = field.contacts(transform(inverse(T_tracker_bone), positions))
-        self._publish_cloud(on_bone, residuals, weights, strokes)
+        self._publish_cloud(contacts, residuals, weights, strokes)
 
     def destroy(self) -> None:
         """Destroy the publishers."""

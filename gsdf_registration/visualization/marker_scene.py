@@ -9,7 +9,7 @@ import numpy as np
 
 from gsdf_registration.common.config import LimitsConfig
 from gsdf_registration.common.result import NextTouch
-from gsdf_registration.common.rigid import Array, inverse, transform
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import error_bound
 from gsdf_registration.registration.guidance import PATCH
@@ -40,7 +40,7 @@ class MarkerScene:
                 + _patches(next_touches))
 
     def pose(self, field: Field, limits: LimitsConfig, T_tracker_bone: Array, covariance: Array,
-             positions: Array, residuals: Array, weights: Array,
+             contacts: Array, residuals: Array, weights: Array,
              next_touches: Sequence[NextTouch]) -> list[Marker]:
         """
         Return the bone with its error and the zone, the points on it, and where to touch next.
@@ -48,27 +48,26 @@ class MarkerScene:
         Parameters
         ----------
         field : Field
-            For the tip of the probe; points are drawn where the tip touches the bone.
         limits : LimitsConfig
             Scales of the colours.
         T_tracker_bone : (4, 4) float
         covariance : (6, 6) float
             Of the pose, REP-103 order.
-        positions : (n, 3) float, m, tracker frame
+        contacts : (n, 3) float, m, bone frame
+            Where the tip touches the bone, see `Field.contacts_at`.
         residuals, weights : (n,)
             Of the points; residuals in m, NaN if unknown.
         next_touches : sequence of NextTouch
             Best first.
 
         """
-        shown = evenly_spread(np.arange(len(positions)), MAX_POINTS)
-        on_bone = field.contacts(transform(inverse(T_tracker_bone), positions[shown]))
+        shown = evenly_spread(np.arange(len(contacts)), MAX_POINTS)
         vertices, faces = self._drawn_surface(field)
         error = error_bound(T_tracker_bone, covariance, vertices)
         return (markers.bone(vertices, faces, colours.error_colours(error, limits))
                 + markers.border(border_segments(vertices, faces, error, limits.max_error),
                                  colours.rgb(colours.BORDER))
-                + markers.points(on_bone, colours.residual_colours(
+                + markers.points(contacts[shown], colours.residual_colours(
                     residuals[shown], weights[shown], limits))
                 + _patches(next_touches))
 

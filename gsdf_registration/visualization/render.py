@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common.config import LimitsConfig
 from gsdf_registration.common.result import NextTouch
-from gsdf_registration.common.rigid import Array, inverse, transform
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import error_bound
 from gsdf_registration.registration.guidance import PATCH
@@ -52,7 +52,7 @@ class Scene:
         """Where the tip touches the bone (n, 3), m, bone frame; none without a pose."""
         if self.T_tracker_bone is None:
             return np.zeros((0, 3))
-        return self.field.contacts(transform(inverse(self.T_tracker_bone), self.positions))
+        return self.field.contacts_at(self.T_tracker_bone, self.positions)
 
 
 @dataclass(frozen=True, eq=False)

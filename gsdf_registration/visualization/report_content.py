@@ -14,7 +14,7 @@ import numpy as np
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import INLIER_WEIGHT, Reason, RegistrationResult
-from gsdf_registration.common.rigid import Array, inverse, transform
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points
 from gsdf_registration.field import Field
 
@@ -115,7 +115,7 @@ class ReportContent:
     def on_bone(self, positions: Array, pose: Array) -> Array:
         """Return where the tip touches the bone (n, 3), m, bone frame, at ``pose``."""
         assert self.field is not None
-        return self.field.contacts(transform(inverse(pose), positions))
+        return self.field.contacts_at(pose, positions)
 
     @property
     def side(self) -> str:
