@@ -20,7 +20,7 @@ from msg_adapters.session_file import identity, read_session, write_session
 from msg_adapters.truth import read_truth
 
 if importlib.util.find_spec('rclpy') is not None:
-    from ros_support import BAG, TOPICS, Client, NodeProcess, Tracker
+    from ros_support import BAG, TOPICS, Client, NodeProcess, Tracker, tracked
 
     from gsdf_registration.clients.domain import private_domain
 
@@ -62,10 +62,7 @@ def shared_node(parameters: dict[str, Any], shared_session: Path) -> Iterator[No
 
 @pytest.fixture(scope='session')
 def shared_tracker(shared_node: NodeProcess) -> Iterator[Tracker]:
-    with Client(shared_node) as client:
-        client.await_state('active')
-        tracker = Tracker(client)
-        tracker.await_listener()
+    with tracked(shared_node) as tracker:
         yield tracker
 
 

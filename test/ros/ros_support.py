@@ -6,7 +6,8 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -187,3 +188,13 @@ class Tracker:
         assert np.degrees(angle_between(T[:3, :3], T_true[:3, :3])) < 1.0
         errors = np.linalg.norm(transform(T, places) - transform(T_true, places), axis=1)
         assert errors.max() < limit
+
+
+@contextmanager
+def tracked(node: NodeProcess, **options: Any) -> Iterator[Tracker]:
+    """Yield a tracker of ``options`` that the active node listens to."""
+    with Client(node) as client:
+        client.await_state('active')
+        tracker = Tracker(client, **options)
+        tracker.await_listener()
+        yield tracker

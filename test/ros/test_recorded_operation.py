@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.parameter import Parameter
-from ros_support import ROOT, Client, NodeProcess, Tracker
+from ros_support import ROOT, NodeProcess, Tracker, tracked
 from rosbags.rosbag2 import Reader
 
 from msg_adapters import ros
@@ -60,10 +60,7 @@ def shared_node(parameters: dict[str, Any],
 
 @pytest.fixture(scope='module')
 def shared_tracker(shared_node: NodeProcess) -> Iterator[Tracker]:
-    with Client(shared_node) as client:
-        client.await_state('active')
-        tracker = Tracker(client)
-        tracker.await_listener()
+    with tracked(shared_node) as tracker:
         yield tracker
 
 
