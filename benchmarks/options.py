@@ -5,16 +5,19 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from gsdf_registration.common.command_line import natural_number
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
+    from benchmarks.execution.result_table import Row
     from benchmarks.protocol.cases import Case
     from gsdf_registration.common.config import Config
 
+Job = TypeVar('Job')
 SHIPPED = 'package://gsdf_registration/bags/hip.ply'
 
 
@@ -68,3 +71,40 @@ def about(cases: list[Case], seed: int, config: Config) -> dict[str, Any]:
         'cases': [case.name for case in cases],
         'bones': {Path(path).name: sha256_of(path) for path in sorted({c.bone for c in cases})}
     }
+
+
+def single_threaded(args: argparse.Namespace) -> Config:
+    """Return the settings of ``--config``, with one thread for each search: a job has one core."""
+    from msg_adapters.settings_file import read_config
+    return read_config(args.config).replaced({'search.threads': 1})
+
+
+def run_table(args: argparse.Namespace, cases: list[Case], config: Config, jobs: Mapping[str, Job],
+              work: Callable[[Job], Row], label: str = 'trials', **depends: Any) -> list[Row]:
+    """
+    Return the row of each job, in the table of ``--output`` if there is one.
+
+    Parameters
+    ----------
+    args : with the options of `add_seed_option` and `add_table_options`
+    cases, config : what the rows depend on, beside the seed
+    jobs, work, label : as in `benchmarks.execution.runner.run_all`
+    depends : what else the rows depend on, JSON values
+
+    """
+    from benchmarks.execution.runner import run_all
+    return run_all(jobs, work, output=Path(args.output) if args.output else None,
+                   about={**about(cases, args.seed, config), **depends}, label=label)
+
+
+def print_table(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> None:
+    """Print rows of a table, see `table_row`."""
+    for cells in rows:
+        print(table_row(cells, widths))
+
+
+def table_row(cells: Sequence[str], widths: Sequence[int]) -> str:
+    """Return a row: the first cell to the left, the others to the right, one without width last."""
+    return (f'{cells[0]:<{widths[0]}}'
+            + ''.join(f'{cell:>{width}}' for cell, width in zip(cells[1:], widths[1:]))
+            + ''.join(f'  {cell}' for cell in cells[len(widths):]))

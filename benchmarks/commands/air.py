@@ -5,10 +5,16 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from benchmarks.options import (
+    add_bones_option,
+    add_seed_option,
+    add_table_options,
+    bones,
+    run_table,
+    single_threaded,
+)
 from gsdf_registration.common.command_line import example, positive_number
 
 if TYPE_CHECKING:
@@ -44,20 +50,16 @@ def run(args: argparse.Namespace) -> int:
     from itertools import count, islice
 
     from benchmarks.air.trial import SCENARIOS, AirTrial, run_trial, suits
-    from benchmarks.execution.runner import run_all
     from benchmarks.protocol.cases import find_cases
-    from msg_adapters.settings_file import read_config
 
     cases = find_cases(bones(args.bones))
-    config = read_config(args.config).replaced({'search.threads': 1})
+    config = single_threaded(args)
     if not args.limits:
         config = config.replaced(ANY_ACCURACY)
     every = (AirTrial(case, scenario, seed) for seed in count(args.seed) for case in cases
              for scenario in SCENARIOS if suits(scenario, case.region))
     trials = {trial.name: trial for trial in islice(every, args.trials)}
-    show(run_all(trials, partial(run_trial, config=config),
-                 output=Path(args.output) if args.output else None,
-                 about=about(cases, args.seed, config)))
+    show(run_table(args, cases, config, trials, partial(run_trial, config=config)))
     return 0
 
 

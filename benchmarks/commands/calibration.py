@@ -4,12 +4,20 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from functools import partial
 from itertools import islice
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from benchmarks.options import (
+    add_bones_option,
+    add_seed_option,
+    add_table_options,
+    bones,
+    print_table,
+    run_table,
+    single_threaded,
+)
 from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError
 
@@ -50,13 +58,11 @@ def run(args: argparse.Namespace) -> int:
     from benchmarks.calibration.tables import COLUMNS, WIDTHS, peer_table, table
     from benchmarks.calibration.trial import run_trial
     from benchmarks.commands.trust import scenarios
-    from benchmarks.execution.runner import run_all
     from benchmarks.protocol.cases import find_cases
     from benchmarks.protocol.trials import SCENARIOS, trials
-    from msg_adapters.settings_file import read_config
 
     cases = find_cases(bones(args.bones))
-    config = read_config(args.config).replaced({'search.threads': 1})
+    config = single_threaded(args)
     wanted = scenarios(args.scenarios) if args.scenarios else [
         each for each in SCENARIOS.values() if each.name in EXACT or each.real_model]
     wanted = [each for each in wanted if not each.wrong]
@@ -64,26 +70,21 @@ def run(args: argparse.Namespace) -> int:
                 for trial in islice(trials(cases, [scenario], args.seed), args.trials)]
     if not selected:
         raise InputError('none of these scenarios has a true pose; choose others')
-    output = Path(args.output) if args.output else None
-    depends = about(cases, args.seed, config)
-    rows = run_peers(selected, output, depends) if args.peers else run_all(
-        {trial.name: trial for trial in selected}, partial(run_trial, config=config),
-        output=output, about=depends)
+    jobs, work = peer_jobs(selected) if args.peers else (
+        {trial.name: trial for trial in selected}, partial(run_trial, config=config))
+    rows = run_table(args, cases, config, jobs, work)
     print('lost: in another minimum; near: the exposed area, far: the whole bone, RMS, mm; within '
           '95 %: places whose\nerror is within its stated bound; bound: Cramer-Rao, of an exact '
           'model\n')
-    for cells in [COLUMNS, *(peer_table(rows) if args.peers else table(rows))]:
-        print(f'{cells[0]:<{WIDTHS[0]}}'
-              + ''.join(f'{cell:>{width}}' for cell, width in zip(cells[1:], WIDTHS[1:])))
+    print_table([COLUMNS, *(peer_table(rows) if args.peers else table(rows))], WIDTHS)
     return 0
 
 
-def run_peers(trials: list[Trial], output: Path | None, depends: dict[str, Any]) -> list[Row]:
-    """Return the rows of all peers; those that cannot be installed are named on stderr."""
+def peer_jobs(trials: list[Trial]) -> tuple[dict[str, Any], Callable[[Any], Row]]:
+    """Return jobs and work of all peers; those that cannot be installed are named on stderr."""
     import sys
 
     from benchmarks.calibration.peers import run_peer
-    from benchmarks.execution.runner import run_all
     from benchmarks.peers.catalogue import CURRENT, STATING
     from benchmarks.peers.environment import environment
     from gsdf_registration.field.cache import cache_directory
@@ -98,5 +99,4 @@ def run_peers(trials: list[Trial], output: Path | None, depends: dict[str, Any])
         # one model after the other: a process is prepared for one
         for trial in sorted(trials, key=lambda each: (each.model, each.scenario.name)):
             jobs[f'{name}/{trial.name}'] = name, trial
-    work = partial(run_peer, python=str(installed.python), models=folder)
-    return run_all(jobs, work, output=output, about=depends)
+    return jobs, partial(run_peer, python=str(installed.python), models=folder)

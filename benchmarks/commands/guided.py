@@ -5,10 +5,17 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from benchmarks.options import (
+    add_bones_option,
+    add_seed_option,
+    add_table_options,
+    bones,
+    print_table,
+    run_table,
+    single_threaded,
+)
 from gsdf_registration.common.command_line import example, number, positive_number
 from gsdf_registration.common.result import InputError
 
@@ -49,12 +56,10 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the simulations and print the tables."""
-    from benchmarks.execution.runner import run_all
     from benchmarks.guided.runs import runs_of, simulate_run
     from benchmarks.guided.tables import page
     from benchmarks.protocol.cases import find_cases
     from msg_adapters.files import write_atomically
-    from msg_adapters.settings_file import read_config
 
     if not args.limit > 0.0:
         raise InputError('--limit must be more than 0')
@@ -62,12 +67,11 @@ def run(args: argparse.Namespace) -> int:
         from benchmarks.require_plotly import require_plotly
         require_plotly()
     cases = find_cases(bones(args.bones))
-    config = read_config(args.config).replaced({'search.threads': 1})
+    config = single_threaded(args)
     runs = runs_of(cases, args.runs, args.seed, args.strokes, args.points, 1e-3 * args.limit)
-    rows = run_all({run.name: run for run in runs}, partial(simulate_run, config=config),
-                   label='runs', output=Path(args.output) if args.output else None,
-                   about={**about(cases, args.seed, config), 'strokes': args.strokes,
-                          'points': args.points, 'limit': args.limit})
+    rows = run_table(args, cases, config, {run.name: run for run in runs},
+                     partial(simulate_run, config=config), 'runs', strokes=args.strokes,
+                     points=args.points, limit=args.limit)
     show(rows, args.limit)
     if args.plot:
         write_atomically(args.plot, page(rows, 1e-3 * args.limit))
@@ -83,7 +87,5 @@ def show(rows: list[Row], limit: float) -> None:
               'predicted (mean; runs that needed fewer, as many, more points with guidance; RMS '
               'of the true error then, mm),\npredicted without an alternative pose (mean; runs '
               'that never reached it), and true (RMS over runs)\n')
-        for cells in [COLUMNS, *table(rows, goal, 1e-3 * limit)]:
-            print(f'{cells[0]:<{WIDTHS[0]}}'
-                  + ''.join(f'{cell:>{width}}' for cell, width in zip(cells[1:], WIDTHS[1:])))
+        print_table([COLUMNS, *table(rows, goal, 1e-3 * limit)], WIDTHS)
         print()

@@ -9,7 +9,14 @@ from itertools import cycle, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from benchmarks.options import (
+    add_bones_option,
+    add_seed_option,
+    add_table_options,
+    bones,
+    print_table,
+    run_table,
+)
 from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError
 
@@ -24,7 +31,7 @@ SCENARIOS = ((0.0003, 0.002, 0.0), (0.0003, 0.002 / 3.0**0.5, 0.0), (0.0, 0.002,
              (0.0, 0.002 / 3.0**0.5, 0.0), (0.0003, 0.002, 0.03), (0.0, 0.002, 0.03))
 COLUMNS = ('model, hip centre', 'trials', 'TRE mm', 'with', 'ratio', 'median', 'with', 'worst',
            'with', 'predicted', 'with', 'NEES/6', 'with', 'left out')
-WIDTH, FIRST = 10, 46
+WIDTHS = (46, *[10] * (len(COLUMNS) - 1))
 
 
 def add_parser(subparsers: Any) -> None:
@@ -46,22 +53,20 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the trials and print a table."""
-    from benchmarks.execution.runner import run_all
     from benchmarks.landmarks.trial import run_trial
     from msg_adapters.settings_file import read_config
 
     cases = femurs(bones(args.bones))
     config = read_config(args.config)
     trials = select(cases, args.trials, args.seed)
-    rows = run_all({trial.name: trial for trial in trials}, partial(run_trial, config=config),
-                   output=Path(args.output) if args.output else None,
-                   about=about(cases, args.seed, config))
+    rows = run_table(args, cases, config, {trial.name: trial for trial in trials},
+                     partial(run_trial, config=config))
     print('TRE: RMS over the bone, of all trials; worst: largest TRE (RMS over the bone) of a '
           'trial;\npredicted: RMS; NEES: e^T C^-1 e of the pose, mean over trials without the '
           'worst 5 %; "with": with the hip centre\n')
-    print(line(COLUMNS))
-    for scenario in dict.fromkeys(trial.scenario for trial in trials):
-        print(line(summary(scenario, [row for row in rows if row['scenario'] == scenario])))
+    names = dict.fromkeys(trial.scenario for trial in trials)
+    print_table([COLUMNS, *(summary(name, [row for row in rows if row['scenario'] == name])
+                            for name in names)], WIDTHS)
     return 0
 
 
@@ -102,7 +107,3 @@ def summary(scenario: str, rows: list[Row]) -> tuple[str, ...]:
         alone.max(), fused.max(), *predicted, nees('alone'), nees('fused'))),
         str(int((column('landmark_used') == 0.0).sum())))
 
-
-def line(cells: tuple[str, ...]) -> str:
-    """Return a row of the table."""
-    return f'{cells[0]:<{FIRST}}' + ''.join(f'{cell:>{WIDTH}}' for cell in cells[1:])

@@ -9,7 +9,15 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.options import about, add_bones_option, add_seed_option, add_table_options, bones
+from benchmarks.options import (
+    add_bones_option,
+    add_seed_option,
+    add_table_options,
+    bones,
+    print_table,
+    run_table,
+    single_threaded,
+)
 from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError
 
@@ -53,23 +61,19 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the trials and print the tables."""
-    from benchmarks.execution.runner import run_all
     from benchmarks.protocol.cases import find_cases
     from benchmarks.protocol.trials import trials
     from benchmarks.trust.trial import run_trial
-    from msg_adapters.settings_file import read_config
 
     cases = find_cases(bones(args.bones), [word for word in args.regions.split(',') if word])
-    config = read_config(args.config).replaced({'search.threads': 1})
+    config = single_threaded(args)
     if args.only:
         return print_trial(find_trial(args.only, cases), config)
     selected = list(islice(trials(cases, scenarios(args.scenarios), args.seed), args.trials))
     if not selected:
         raise InputError('none of these scenarios is possible with these bones; give more bones')
-    rows = run_all({trial.name: trial for trial in selected}, partial(run_trial, config=config),
-                   output=Path(args.output) if args.output else None,
-                   about=about(cases, args.seed, config))
-    show(rows)
+    show(run_table(args, cases, config, {trial.name: trial for trial in selected},
+                   partial(run_trial, config=config)))
     return 0
 
 
@@ -125,10 +129,7 @@ def show(rows: list[Row]) -> None:
     print('found: share of poses near the truth, refused or not; efficiency: RMS and median error '
           'of right poses\nin units of the Cramer-Rao bound; TRE and predicted: RMS over the whole '
           'bone and over right poses, mm;\nsearch, solve: median, ms, one thread\n')
-    for cells in [COLUMNS, *table(rows)]:
-        print(f'{cells[0]:<{WIDTHS[0]}}'
-              + ''.join(f'{cell:>{width}}' for cell, width in zip(cells[1:-1], WIDTHS[1:]))
-              + f'  {cells[-1]}')
+    print_table([COLUMNS, *table(rows)], WIDTHS)
     refused, well = faulty_refusals(rows)
     print()
     for verdict in ('wrong', 'understated'):

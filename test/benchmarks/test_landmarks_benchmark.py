@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.commands.landmarks import COLUMNS, SCENARIOS, femurs, line, select, summary
+from benchmarks.commands.landmarks import COLUMNS, SCENARIOS, WIDTHS, femurs, select, summary
+from benchmarks.options import table_row
 from gsdf_registration.common.result import InputError
 
 
@@ -30,7 +31,7 @@ def test_the_table_compares_with_and_without_the_hip_centre() -> None:
              'landmark_used': fused < alone}
             for alone, fused in ((0.003, 0.001), (0.004, 0.004))]
     cells = summary('model exact', rows)
-    assert len(cells) == len(COLUMNS) == len(line(cells).split()) - 1
+    assert len(cells) == len(COLUMNS) == len(table_row(cells, WIDTHS).split()) - 1
     # trials, RMS without and with, ratio, medians, worst, predicted, NEES, left out
     assert cells[1:] == ('2', '3.54', '2.92', '0.82', '3.50', '2.50', '4.00', '4.00', '3.00',
                          '1.00', '1.00', '0.50', '1')
