@@ -63,8 +63,7 @@ class Confidence:
 
     def p95(self, targets: Array) -> Array:
         """Return the 95 % bound of the error (n,), m, at ``targets`` (n, 3), m, bone frame."""
-        B = motion_at(targets - self.centroid)
-        return _quantile_of_length(B @ self.motion_covariance @ B.transpose(0, 2, 1))
+        return _bound_at(self.motion_covariance, targets - self.centroid)
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
@@ -99,8 +98,7 @@ def predicted_tre(T_tracker_bone: Array, covariance: Array, points: Array) -> Ar
 def error_bound(T_tracker_bone: Array, covariance: Array, points: Array) -> Array:
     """Return the 95 % bound of the error (n,), m, of a pose; parameters as `predicted_tre`."""
     order = [3, 4, 5, 0, 1, 2]      # rotation first, as in `motion_at`
-    B = motion_at(points @ T_tracker_bone[:3, :3].T)
-    return _quantile_of_length(B @ covariance[np.ix_(order, order)] @ B.transpose(0, 2, 1))
+    return _bound_at(covariance[np.ix_(order, order)], points @ T_tracker_bone[:3, :3].T)
 
 
 def _expected_length(C_tt: Array, C_tr: Array, C_rr: Array, arms: Array) -> Array:
@@ -116,18 +114,41 @@ def _expected_length(C_tt: Array, C_tr: Array, C_rr: Array, arms: Array) -> Arra
     return np.asarray(np.sqrt(np.trace(C_tt) + squared))
 
 
+def _bound_at(covariance: Array, arms: Array) -> Array:
+    """
+    Return the 95 % quantile (n,) of the length of B [xi, phi], m, with B as in `motion_at`.
+
+    B is linear in the ``arms`` (n, 3), so each entry of B C B^T is a quadratic polynomial in them:
+    one product for all places instead of two for each.
+    """
+    origin = motion_at(np.zeros((1, 3)))
+    basis = np.concatenate([origin, motion_at(np.eye(3)) - origin])
+    coefficients = np.einsum('uij,jk,vlk->uvil', basis, covariance, basis).reshape(16, 9)
+    linear = np.column_stack([np.ones(len(arms)), arms])
+    quadratic = (linear[:, :, None] * linear[:, None, :]).reshape(-1, 16)
+    return _quantile_of_length((quadratic @ coefficients).T)
+
+
 def _quantile_of_length(C: Array) -> Array:
     """
-    Return the 95 % quantile (n,) of the length of Gaussian vectors of covariances ``C`` (n, 3, 3).
+    Return the 95 % quantile (n,) of the length of Gaussian vectors.
 
     The squared length is a weighted sum of chi-squares. It is replaced by a shifted and scaled
     chi-square of the same mean, variance and skewness (Pearson 1959; Imhof 1961, section 4): exact
     for equal or single eigenvalues, within 0.7 % between.
+
+    Parameters
+    ----------
+    C : (9, n) float
+        Covariance of each vector, row by row.
+
     """
-    total = np.maximum(np.trace(C, axis1=1, axis2=2), 1e-300)   # sum of the eigenvalues
-    C = C / total[:, None, None]
-    squared = C @ C
-    second, third = np.trace(squared, axis1=1, axis2=2), (squared * C).sum(axis=(1, 2))
+    total = np.maximum(C[0] + C[4] + C[8], 1e-300)      # sum of the eigenvalues
+    xx, xy, xz, _, yy, yz, _, _, zz = C / total
+    xy2, xz2, yz2 = xy**2, xz**2, yz**2
+    second = xx**2 + yy**2 + zz**2 + 2.0 * (xy2 + xz2 + yz2)    # tr C^2
+    third = (xx * (xx**2 + 3.0 * (xy2 + xz2)) + yy * (yy**2 + 3.0 * (xy2 + yz2))
+             + zz * (zz**2 + 3.0 * (xz2 + yz2)) + 6.0 * xy * xz * yz)      # tr C^3
     third = np.where(third > 0.0, third, 1.0)       # zero without uncertainty
     freedom = second**3 / third**2
     above = (np.interp(freedom, FREEDOM, CHI_SQUARE_95) - freedom) * third / np.maximum(second, 0.3)
