@@ -100,6 +100,11 @@ class LiveRegistration:
         self._assessed_revision = -1
 
     @property
+    def field(self) -> Field:
+        """Field of the bone for the tip of the probe."""
+        return self._field
+
+    @property
     def config(self) -> Config:
         """Settings in use."""
         return self._config

@@ -246,7 +246,7 @@ class LiveWorker:
         self._next_assessment = now + (2.0 if live.ready else 1.0) / ASSESSMENT_RATE
         self._cancel = threading.Event()
         search = now >= self._next_search and not self._source.solving
-        landmarks = for_tip(self._source.landmarks(), self._field)
+        landmarks = for_tip(self._source.landmarks(), live.field)
         evidence = Evidence(landmarks, places(self._source.air()) if search else NO_PLACES)
         job = live.assessment_job(search, self._guess(landmarks), evidence)
         self._assessing = self._pool.submit(self._assess, job, self._cancel)

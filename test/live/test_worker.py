@@ -18,6 +18,7 @@ from gsdf_registration.common.landmarks import NO_LANDMARKS, Landmarks
 from gsdf_registration.common.result import Cancelled
 from gsdf_registration.common.rigid import transform
 from gsdf_registration.common.samples import Points, Sample
+from gsdf_registration.field import Field
 from gsdf_registration.live import LivePose, LiveRegistration, LiveStatus
 from gsdf_registration.live.assessment import FullAssessment
 from gsdf_registration.live.worker import LiveWorker
@@ -205,6 +206,24 @@ def test_searches_around_the_initial_pose_first(recorder: Recorder, session: Ses
     assert session.set_initial_pose(T_TRACKER_BONE).success
     guess = worker._guess(NO_LANDMARKS)
     assert guess is not None and np.allclose(guess @ T_TRACKER_BONE, np.eye(4))
+
+
+def test_landmarks_touched_by_a_ball_tip_are_expected_where_its_centre_is(
+        recorder: Recorder, session: Session, worker: LiveWorker,
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[float] = []
+
+    def for_tip(landmarks: Landmarks, field: Field) -> Landmarks:
+        seen.append(field.tip_radius)
+        return landmarks
+    monkeypatch.setattr('gsdf_registration.live.worker.for_tip', for_tip)
+    fill(session, 600)
+    recorder.wait_for(lambda: bool(seen))
+    assert set(seen) == {0.0}
+    session.configure(CONFIG.replaced({'probe.tip_radius': 0.001}))
+    worker.notify()
+    recorder.wait_for(lambda: seen[-1] == 0.001)
+    assert not recorder.errors
 
 
 def test_a_landmark_that_is_measured_later_changes_the_pose(
