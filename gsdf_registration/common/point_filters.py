@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 from scipy.special import pdtrc
 
+from gsdf_registration.common.components import components
 from gsdf_registration.common.downsampling import voxel_grid
 from gsdf_registration.common.rigid import Array
 
@@ -69,9 +68,7 @@ def in_clusters(points: Array) -> NDArray[np.bool_]:
     dense = neighbours >= _min_neighbours(neighbours)
     if dense.any():
         pairs = cKDTree(sparse[dense]).query_pairs(RADIUS, output_type='ndarray')
-        count = int(dense.sum())
-        links = coo_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(count, count))
-        _, cluster = connected_components(links, directed=False)
+        _, cluster = components(pairs, int(dense.sum()))
         dense[dense] = np.bincount(cluster)[cluster] >= MIN_CLUSTER
     return np.asarray(dense[voxel])
 

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from gsdf_registration.common.components import components
 from gsdf_registration.common.numba_options import compiled
 from gsdf_registration.common.rigid import Array
 
@@ -162,9 +161,7 @@ def _places(positions: Array, radius: float) -> NDArray[np.int64]:
     if not len(positions):
         return np.zeros(0, dtype=np.int64)
     pairs = cKDTree(positions).query_pairs(radius, output_type='ndarray')
-    shape = (len(positions), len(positions))
-    links = coo_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=shape)
-    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
+    return components(pairs, len(positions))[1]
 
 
 def _rests(points: Array, which: NDArray[np.int64]) -> Rests:

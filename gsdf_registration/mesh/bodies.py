@@ -9,9 +9,8 @@ of a model that was put together. The bones are numbered from 1 in the order of 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from gsdf_registration.common.components import components
 from gsdf_registration.common.formatting import format_length
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
@@ -62,9 +61,7 @@ def _numbered(vertices: Array, faces: np.ndarray, bodies: np.ndarray) -> np.ndar
     pairs = [(i, j) for i in range(len(numbers)) for j in range(i)
              if _intersect(vertices, faces[index == i], faces[index == j])]
     links = np.reshape(pairs, (-1, 2)).astype(np.int64)
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])),
-                      shape=(len(numbers), len(numbers)))
-    _, group = connected_components(graph, directed=False)
+    _, group = components(links, len(numbers))
     area = np.bincount(group[index], face_areas(vertices, faces))
     rank = np.empty(len(area), dtype=np.int64)
     rank[np.argsort(-area, kind='stable')] = np.arange(1, len(area) + 1)

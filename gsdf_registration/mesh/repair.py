@@ -10,10 +10,9 @@ Every step takes ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int64, and app
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from gsdf_registration.common.components import components
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.mesh.winding import winding_numbers
@@ -36,7 +35,7 @@ def merge_vertices(vertices: Array, faces: np.ndarray,
     representative = first[label.ravel()]
     pairs = cKDTree(vertices[first]).query_pairs(close, output_type='ndarray')
     if len(pairs):
-        _, group = _components(pairs, len(first))
+        _, group = components(pairs, len(first))
         lowest = np.full(len(first), len(vertices))
         np.minimum.at(lowest, group, first)
         representative = lowest[group][label.ravel()]
@@ -80,12 +79,12 @@ def wind_consistently(faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, 
     """
     pairs, agree = _adjacent_faces(faces)
     m = len(faces)
-    count, bodies = _components(pairs, m)
+    count, bodies = components(pairs, m)
     if agree.all():
         return faces, bodies
     left, right = pairs.T
     other = np.where(agree, right, right + m)
-    _, winding = _components(
+    _, winding = components(
         np.concatenate(
             [np.stack([left, other], axis=1),
              np.stack([left + m, (other + m) % (2 * m)], axis=1)]), 2 * m)
@@ -166,11 +165,3 @@ def _adjacent_faces(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     two = run[:-1][np.diff(run) == 2]
     one, other = order[two], order[two + 1]
     return np.stack([one // 3, other // 3], axis=1), start[one] == end[other]
-
-
-def _components(pairs: np.ndarray, n: int) -> tuple[int, np.ndarray]:
-    """Return the number and labels (n,) of the connected components of the edges ``pairs``."""
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])),
-                      shape=(n, n))
-    count, label = connected_components(graph, directed=False)
-    return count, label
