@@ -21,7 +21,7 @@ from gsdf_registration.registration.candidate import Candidate, assess_candidate
 from gsdf_registration.registration.confidence import assess_at
 from gsdf_registration.registration.evidence import Evidence
 from gsdf_registration.registration.input_checks import check_points, check_selection
-from gsdf_registration.registration.pipeline import find_candidates, only_adds_interference
+from gsdf_registration.registration.pipeline import choose_candidate, find_candidates
 from gsdf_registration.registration.point_selection import (
     PointSelection,
     select_points,
@@ -166,17 +166,10 @@ def _search(selection: PointSelection, field: Field, config: Config, guess: Arra
             ) -> tuple[PointSelection, Candidate, tuple[Refusal, ...]]:
     """Run the pipeline like `register`, on one thread: the other cores receive points."""
     config = config.replaced({'search.threads': 1})
-    answer: tuple[PointSelection, Candidate, tuple[Refusal, ...]] | None = None
-    for used, candidate in find_candidates(selection, field, config, guess, evidence,
-                                           cancelled=cancelled):
-        reasons = tuple(rejection_reasons(candidate, used.positions, field, config))
-        if answer is None or not only_adds_interference(used, next(iter(reasons), None),
-                                                        answer[0]):
-            answer = used, candidate, reasons
-        if {each.reason for each in reasons} <= TOLERATED_AFTER_SEARCH:
-            break
-    assert answer is not None
-    return answer
+    return choose_candidate(
+        find_candidates(selection, field, config, guess, evidence, cancelled=cancelled),
+        lambda used, found: tuple(rejection_reasons(found, used.positions, field, config)),
+        TOLERATED_AFTER_SEARCH)
 
 
 def _follow(used: PointSelection, field: Field, config: Config, previous: Solution,

@@ -50,9 +50,9 @@ def joint_optimum(T_bone_tracker: Array, points: Array, field: Field, weight: Ar
     """
     used = weight > 0.0
     points, weight, T = points[used], weight[used], T_bone_tracker
-    at_start = _points_at(T, points, field, weight, centre)[0]      # zero, up to other corrections
+    score, A = _points_at(T, points, field, weight, centre)
+    at_start = score        # zero, up to other corrections
     for _ in range(MAX_STEPS):
-        score, A = _points_at(T, points, field, weight, centre)
         B, r, precision = linearize(T, centre, landmarks)
         step = -_solve(factor @ A + np.einsum('kij,kil,k->jl', B, B, precision),
                        factor @ (score - at_start) + np.einsum('kij,ki,k->j', B, r, precision))
@@ -60,6 +60,7 @@ def joint_optimum(T_bone_tracker: Array, points: Array, field: Field, weight: Ar
         T = moved(step, centre) @ T
         if not len(B) or float(np.abs(B @ step).max()) < TOLERANCE:
             return T, True
+        score, A = _points_at(T, points, field, weight, centre)
     return T, False
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +120,8 @@ def solve_all(points: Array,
         found.add(pool.map(solve_from, starts))
         if config.solver.method == 'paper':
             return found.all
-        _explain(found, few, touches, field, lambda poses: pool.map(
-            partial(solve_from, neighbours=poses.neighbours, local_sd=POSE_ERROR), poses.T))
+        _explain(found, few, touches, field, lambda poses, neighbours: pool.map(
+            partial(solve_from, neighbours=neighbours, local_sd=POSE_ERROR), poses))
         if not found.best.consistent:
             found.add(pool.map(partial(solve_from, anneal_to_noise=False), starts))
         if len(few) == len(points):
@@ -134,15 +134,8 @@ def solve_all(points: Array,
                         for each in others]
 
 
-class _Poses(NamedTuple):
-    """Start poses T_bone_tracker (m, 4, 4), and the neighbours of each point."""
-
-    T: Array
-    neighbours: NDArray[np.int64]
-
-
 def _explain(found: _Solutions, points: Array, touches: Array, field: Field,
-             solve_near: Callable[[_Poses], Iterable[Solution]]) -> None:
+             solve_near: Callable[[Array, NDArray[np.int64]], Iterable[Solution]]) -> None:
     """Add solutions from poses that fit a few patches, while they are better than the best one."""
     for _ in range(CONSENSUS_ROUNDS):
         best = found.best
@@ -150,7 +143,7 @@ def _explain(found: _Solutions, points: Array, touches: Array, field: Field,
         if _explained_share(best, neighbours) > MOSTLY_EXPLAINED:
             break
         poses = consensus(points, field, best.T_bone_tracker, neighbours, CONSENSUS_POSES)
-        if found.add(solve_near(_Poses(poses, neighbours))) < (best.consistent, best.score + 1.0):
+        if found.add(solve_near(poses, neighbours)) < (best.consistent, best.score + 1.0):
             break
 
 

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
+from itertools import islice
 from time import perf_counter
 
 import numpy as np
@@ -99,19 +100,14 @@ def register(points: ArrayLike,
         guess = initial_guess(evidence.landmarks, T_tracker_bone)
         selection = select_points(points, config.collect.mode)
         check_selection(selection, points, field, config.limits)
-        answer: tuple[PointSelection, Candidate, Refusal | None] | None = None
-        for used, candidate in find_candidates(selection, field, config, guess, evidence,
-                                               cancelled=cancelled, progress=progress,
-                                               history=history):
-            refusal = next(rejection_reasons(candidate, used.positions, field, config), None)
-            if answer is None or not only_adds_interference(used, refusal, answer[0]):
-                answer = used, candidate, refusal
-            if refusal is None:
-                break
-        assert answer is not None
-        used, candidate, refusal = answer
+        used, candidate, reasons = choose_candidate(
+            find_candidates(selection, field, config, guess, evidence, cancelled=cancelled,
+                            progress=progress, history=history),
+            lambda used, found: tuple(islice(
+                rejection_reasons(found, used.positions, field, config), 1)))
     except Refusal as error:
         return RegistrationResult.refused(error.reason, error.message, received=received)
+    refusal = next(iter(reasons), None)
     reason, message = verdict(candidate, refusal, used.positions, field, config)
     message = '; '.join(filter(None, (message, mistakes(candidate.selected.landmarks))))
     result = replace(candidate.to_result(reason, message, used.rows, received),
@@ -209,7 +205,35 @@ def find_candidates(selection: PointSelection,
             yield attempt, candidate
 
 
-def only_adds_interference(used: PointSelection, refusal: Refusal | None,
+def choose_candidate(found: Iterable[tuple[PointSelection, Candidate]],
+                     reject: Callable[[PointSelection, Candidate], tuple[Refusal, ...]],
+                     tolerated: Set[Reason] = frozenset()
+                     ) -> tuple[PointSelection, Candidate, tuple[Refusal, ...]]:
+    """
+    Return the first candidate that is accepted, else the last that does not only add interference.
+
+    Parameters
+    ----------
+    found : of `find_candidates`, one or more
+    reject : callable
+        Returns the reasons to reject a candidate, most severe first.
+    tolerated : set of Reason
+        Reasons for which a candidate is accepted nevertheless.
+
+    """
+    answer: tuple[PointSelection, Candidate, tuple[Refusal, ...]] | None = None
+    for used, candidate in found:
+        reasons = reject(used, candidate)
+        if answer is None or not _only_adds_interference(used, next(iter(reasons), None),
+                                                         answer[0]):
+            answer = used, candidate, reasons
+        if {each.reason for each in reasons} <= tolerated:
+            break
+    assert answer is not None
+    return answer
+
+
+def _only_adds_interference(used: PointSelection, refusal: Refusal | None,
                            rests: PointSelection) -> bool:
     """Return whether a refusal is due to points beside the ``rests`` that were tried before."""
     return (refusal is not None and refusal.reason is Reason.TOO_FEW_INLIERS

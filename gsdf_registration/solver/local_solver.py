@@ -78,7 +78,7 @@ def solve(points: Array,
 
     """
     if config.method == 'paper':
-        return replace(_paper(points, field, T_bone_tracker, config, history), touches=touches)
+        return _paper(points, touches, field, T_bone_tracker, config, history)
     if neighbours is None:
         neighbours = nearest_neighbours(before(touches, points), field, T_bone_tracker)
     limit = 0.5 * MAX_LOCAL_SD if anneal_to_noise else MAX_LOCAL_SD
@@ -114,8 +114,7 @@ def refine(points: Array,
 
     """
     if previous.estimates is None:
-        return replace(_paper(points, field, previous.T_bone_tracker, config, False),
-                       touches=previous.touches)
+        return _paper(points, previous.touches, field, previous.T_bone_tracker, config, False)
     touches = previous.touches
     uncorrected = rigid.inverse(previous.correction) @ previous.T_bone_tracker
     if neighbours is None:
@@ -139,11 +138,12 @@ def allow_for_model_error(solution: Solution, points: Array, field: Field,
         Expected standard deviation of the error; 0: none, the solution is returned unchanged.
 
     """
-    weight, precision, estimates = solution.weights, solution.precision, solution.estimates
-    e, J, curvature = solution.residuals.copy(), solution.jacobian.copy(), solution.curvature
-    x = rigid.transform(solution.T_bone_tracker, points)
+    estimates = solution.estimates
     if estimates is None or not surface_error:
         return solution
+    weight, precision, curvature = solution.weights, solution.precision, solution.curvature
+    e, J = solution.residuals.copy(), solution.jacobian.copy()
+    x = rigid.transform(solution.T_bone_tracker, points)
     centred, centroid, R, t = _to_centroid_frame(points, solution.T_bone_tracker)
     try:
         sizes = error_variances(x, e, J, weight, precision, surface_error)
@@ -204,14 +204,13 @@ def _mixture(points: Array,
             bias_correction(field.arrays, centred, R, t, weight, found[0], e, J, precision,
                             len(neighbours))
         correction = _pose(centroid, R, t) @ rigid.inverse(uncorrected)
-    solution = _solution(correction @ uncorrected, correction, weight, e, precision, J, curvature,
-                         consistent, likelihood, ended, steps[:iterations], history,
-                         Estimates(*found.tolist()))
-    return replace(solution, touches=touches)
+    return _solution(correction @ uncorrected, correction, weight, e, precision, J, curvature,
+                     consistent, likelihood, ended, steps[:iterations], history, touches,
+                     Estimates(*found.tolist()))
 
 
-def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverConfig,
-           history: bool) -> Solution:
+def _paper(points: Array, touches: Array, field: Field, T_bone_tracker: Array,
+           config: SolverConfig, history: bool) -> Solution:
     """Return the solution of `algorithm_1`."""
     centred, centroid, R, t = _to_centroid_frame(points, T_bone_tracker)
     keep, weight = np.ones(len(points), dtype=np.bool_), np.zeros(len(points))
@@ -223,7 +222,8 @@ def _paper(points: Array, field: Field, T_bone_tracker: Array, config: SolverCon
     # d(w e)/de of the Cauchy weight
     curvature = np.where(keep, weight * (2.0 * weight - 1.0), 0.0)
     return _solution(_pose(centroid, R, t), np.eye(4), weight, e, np.ones(len(points)), J,
-                     curvature, False, float(weight.sum()), ended, steps[:iterations], history)
+                     curvature, False, float(weight.sum()), ended, steps[:iterations], history,
+                     touches)
 
 
 def _to_centroid_frame(points: Array, T_bone_tracker: Array) -> tuple[Array, Array, Array, Array]:
@@ -242,10 +242,10 @@ def _pose(centroid: Array, R: Array, t: Array) -> Array:
 
 def _solution(T: Array, correction: Array, weight: Array, e: Array, precision: Array, J: Array,
               curvature: Array, consistent: bool, score: float, ended: int, steps: Array,
-              history: bool, estimates: Estimates | None = None) -> Solution:
+              history: bool, touches: Array, estimates: Estimates | None = None) -> Solution:
     return Solution(
         T, correction, weight, e, precision, J, curvature, consistent, score,
-        ended == gauss_newton.CONVERGED, gauss_newton.TERMINATION[ended], len(steps), NO_TOUCHES,
+        ended == gauss_newton.CONVERGED, gauss_newton.TERMINATION[ended], len(steps), touches,
         estimates, None, tuple(
             Iteration(cost, turn, shift, int(used))
             for cost, turn, shift, used in steps.tolist()) if history else ())
