@@ -15,7 +15,13 @@ from gsdf_registration.common.operator_event import OperatorEvent
 from gsdf_registration.common.result import InputError
 from msg_adapters import stamps
 from msg_adapters.bag_storage import BagFiles, Raw, Topic
-from msg_adapters.motion import INVALID_TRANSFORM, TOOL_POSES, to_matrix, tool_pose
+from msg_adapters.motion import (
+    INVALID_TRANSFORM,
+    POINT,
+    TOOL_POSES,
+    to_matrix,
+    tool_pose,
+)
 from msg_adapters.recorded_events import (
     STATUS,
     decoded_events,
@@ -26,8 +32,6 @@ from msg_adapters.recorded_events import (
 from msg_adapters.recording import RecordedEvent, RecordedTransform, Recording
 from msg_adapters.recording_notes import stamp_notes
 
-POINT = 'geometry_msgs/msg/PointStamped'
-POSE = 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
 FRAMES = {'/tf': False, '/tf_static': True}     # whether a transform is valid for all times
 TIP_TOPIC = '/probe/tip'

@@ -22,7 +22,8 @@ from mcap.writer import CompressionType, Writer
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from msg_adapters import stamps
-from msg_adapters.bag import POINT, POSE, TYPES
+from msg_adapters.bag import TYPES
+from msg_adapters.motion import POINT, POSE
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -20,10 +20,11 @@ TOLERANCE = 0.01    # of the length of a quaternion, as in tf2
 POSITION = ('tx', 'ty', 'tz')
 ORIENTATION = ('qx', 'qy', 'qz', 'qw')
 
+POINT = 'geometry_msgs/msg/PointStamped'
+POSE = 'geometry_msgs/msg/PoseStamped'
 # position and orientation in the messages that carry the pose of a tool, by type
 TOOL_POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
-    'geometry_msgs/msg/PoseStamped': lambda message: (message.pose.position,
-                                                      message.pose.orientation),
+    POSE: lambda message: (message.pose.position, message.pose.orientation),
     'geometry_msgs/msg/PoseWithCovarianceStamped': lambda message: (
         message.pose.pose.position, message.pose.pose.orientation),
     'geometry_msgs/msg/TransformStamped': lambda message: (message.transform.translation,

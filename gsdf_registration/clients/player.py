@@ -13,9 +13,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
 
-import geometry_msgs.msg
 import rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -25,10 +23,10 @@ from rclpy.signals import SignalHandlerOptions
 
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
-from msg_adapters.bag import POINT
 from msg_adapters.bag_storage import BagFiles, Raw
-from msg_adapters.motion import TOOL_POSES
+from msg_adapters.motion import POINT, TOOL_POSES
 from msg_adapters.ros import stamp_to_seconds
+from msg_adapters.ros_definitions import message_class
 
 PATIENCE = 10.0     # s to wait for a subscriber
 
@@ -70,7 +68,7 @@ def _play(options: argparse.Namespace) -> int:
                    if options.best_effort else ReliabilityPolicy.RELIABLE)
     qos = QoSProfile(depth=len(messages), reliability=reliability)
     node, types = Node('player'), {raw.topic: raw.msgtype for _, _, raw in messages}
-    publishers = {topic: node.create_publisher(_class(types[topic]), name, qos)
+    publishers = {topic: node.create_publisher(message_class(types[topic]), name, qos)
                   for topic, name in names.items()}
     _wait_for_subscribers(list(publishers.values()))
     start, first = time.monotonic(), messages[0][0]
@@ -101,13 +99,8 @@ def _wait_for_subscribers(publishers: list[Publisher]) -> None:
     time.sleep(0.2)     # the subscribers discover the publishers a little later
 
 
-def _class(msgtype: str) -> Any:
-    """Return the class of a message type of geometry_msgs."""
-    return getattr(geometry_msgs.msg, msgtype.rpartition('/')[2])
-
-
 def _stamp(raw: Raw) -> float:
-    return stamp_to_seconds(deserialize_message(raw.data, _class(raw.msgtype)).header.stamp)
+    return stamp_to_seconds(deserialize_message(raw.data, message_class(raw.msgtype)).header.stamp)
 
 
 if __name__ == '__main__':

@@ -64,11 +64,6 @@ class Recorder:
         self._looked = self._flushed = -LOOK
 
     @property
-    def received(self) -> int:
-        """Number of messages received so far."""
-        return sum(self._bag.counts.values())
-
-    @property
     def missing(self) -> list[str]:
         """The topics that nobody has published yet."""
         return [topic for topic in self._topics

@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from gsdf_registration.common.config import Config
 from gsdf_registration.common.operator_event import OperatorEvent
 from gsdf_registration.common.result import InputError
 from gsdf_registration.session.landmark_capture import Answer
@@ -69,11 +68,6 @@ class EventPublisher:
         level = DiagnosticStatus.OK if answer.success else DiagnosticStatus.WARN
         self._publisher.publish(ros.diagnostic_status(
             self._node.get_fully_qualified_name(), level, answer.message, event.values()))
-
-
-def settings_request(config: Config, model_sha256: str | None) -> dict[str, Any]:
-    """Return the request of an event that reports all settings and the bone."""
-    return {'settings': config.flat(), 'model_sha256': model_sha256}
 
 
 def request_values(request: Any) -> dict[str, Any]:

@@ -23,13 +23,13 @@ from gsdf_registration.common.samples import Sample, SampleSink
 from gsdf_registration.node import transforms
 from gsdf_registration.node.hints import Arrivals, type_name
 from gsdf_registration.node.lifecycle import RCLError
-from gsdf_registration.node.probe_topics import MESSAGES, POINT, type_to_receive
+from gsdf_registration.node.probe_topics import MESSAGES, type_to_receive
 from gsdf_registration.node.qos import POINTS, STEADY, UNWATCHED_POINTS
 from gsdf_registration.tracking.clock import BACK
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters import ros
-from msg_adapters.motion import INVALID_TRANSFORM, TOOL_POSES, to_matrix
+from msg_adapters.motion import INVALID_TRANSFORM, POINT, TOOL_POSES, to_matrix
 from msg_adapters.ros_lost_messages import LostMessages
 
 PERIOD = 0.1        # s, between two checks for points that have waited too long
@@ -198,7 +198,7 @@ class Inputs:
         if not self.active:
             return 0
         self.arrivals.lose([topic for topic, count in lost.items() if count])
-        return sum(lost[topic] for topic in self.types)
+        return sum(lost.values())
 
     def _on_point(self, topic: str, message: PointStamped, info: dict[str, Any]) -> None:
         arrival = self._now() - transforms.queue_delay(info)

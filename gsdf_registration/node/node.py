@@ -18,7 +18,7 @@ from gsdf_registration.common.samples import Rejection
 from gsdf_registration.field import Field
 from gsdf_registration.live import LiveStatus
 from gsdf_registration.live.worker import LiveWorker
-from gsdf_registration.node.events import EventPublisher, settings_request
+from gsdf_registration.node.events import EventPublisher, Place
 from gsdf_registration.node.hints import Hint, Hints
 from gsdf_registration.node.initial_pose import InitialPoseInput
 from gsdf_registration.node.inputs import Inputs
@@ -139,7 +139,7 @@ class RegistrationNode(PreparedLifecycleNode):
         result = super().on_activate(state)
         self.cancelled.clear()
         self._report_state('activate')
-        self.session.collect(self.session.config.collect.automatic or self.session.collecting)
+        self.session.activate()
         if self._inputs is not None:
             self._inputs.activate()
         if self._outputs is not None:
@@ -155,8 +155,7 @@ class RegistrationNode(PreparedLifecycleNode):
         if self._inputs is not None:
             self._inputs.active = False
         self._stop_live()
-        self.session.calibrations.cancel('the node was deactivated')
-        self.session.collect(False)
+        self.session.deactivate()
         self._renew_hints()
         if self._outputs is not None:
             self._outputs.withdraw(self.session)
@@ -174,11 +173,11 @@ class RegistrationNode(PreparedLifecycleNode):
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
-    def _report_state(self, name: str) -> None:
-        """Publish a change of the node's state with all settings."""
-        sha256 = None if self.field is None else self.field.bone_sha256
-        self.events.publish(name, self.events.begin(self.session.kept),
-                            request=settings_request(self.session.config, sha256))
+    def _report_state(self, name: str, place: Place | None = None) -> None:
+        """Publish a change of the node's state with all settings, at this place or here."""
+        self.events.publish(name, place or self.events.begin(self.session.kept), request={
+            'settings': self.session.config.flat(),
+            'model_sha256': None if self.field is None else self.field.bone_sha256})
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """After an exception in a transition, become unconfigured."""
@@ -256,8 +255,7 @@ class RegistrationNode(PreparedLifecycleNode):
         self.field = field
         place = self.events.begin(self.session.kept)
         other = self.session.set_model(field)
-        self.events.publish('model', place, request=settings_request(self.session.config,
-                                                                     field.bone_sha256))
+        self._report_state('model', place)
         if self.state == 'active':
             if self._outputs is not None:
                 self._outputs.show_bone(field, self.session)

@@ -15,6 +15,8 @@ from rclpy.lifecycle import LifecycleNode
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import NextTouch
+from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.samples import Points
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.live import LivePose
@@ -93,11 +95,9 @@ class Outputs:
         if found.T_tracker_bone is not None and found.covariance is not None:
             with self._drawing:
                 if self._field is not None:
-                    config = session.config
-                    self._scene.show_pose(
-                        self._field.for_tip(config.probe.tip_radius), config.limits,
-                        found.T_tracker_bone, found.covariance, found.points.positions,
-                        found.residuals_m, found.weights, found.points.strokes, found.next_touches)
+                    self._show_pose(self._field, session.config, found.T_tracker_bone,
+                                    found.covariance, found.points, found.residuals_m,
+                                    found.weights, found.next_touches)
             self._shows_live = True
         elif self._shows_live or found.next_touches:
             self._draw_registration(session, found.next_touches)
@@ -123,8 +123,12 @@ class Outputs:
                     or result.weights is None):
                 self._scene.show_bone(self._field, next_touches)
                 return
-            config = session.config
-            self._scene.show_pose(
-                self._field.for_tip(config.probe.tip_radius), config.limits, result.T_tracker_bone,
-                result.covariance, points.positions, result.residuals_m, result.weights,
-                points.strokes, next_touches)
+            self._show_pose(self._field, session.config, result.T_tracker_bone, result.covariance,
+                            points, result.residuals_m, result.weights, next_touches)
+
+    def _show_pose(self, field: Field, config: Config, T_tracker_bone: Array, covariance: Array,
+                   points: Points, residuals: Array, weights: Array,
+                   next_touches: Sequence[NextTouch]) -> None:
+        self._scene.show_pose(field.for_tip(config.probe.tip_radius), config.limits,
+                              T_tracker_bone, covariance, points.positions, residuals, weights,
+                              points.strokes, next_touches)

@@ -5,25 +5,16 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from geometry_msgs.msg import (
-    PointStamped,
-    PoseStamped,
-    PoseWithCovarianceStamped,
-    TransformStamped,
-)
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-POINT = 'geometry_msgs/msg/PointStamped'
-POSE = 'geometry_msgs/msg/PoseStamped'
-MESSAGES: dict[str, Any] = {
-    POINT: PointStamped, POSE: PoseStamped,
-    'geometry_msgs/msg/PoseWithCovarianceStamped': PoseWithCovarianceStamped,
-    'geometry_msgs/msg/TransformStamped': TransformStamped
-}
+from msg_adapters.motion import POINT, TOOL_POSES
+from msg_adapters.ros_definitions import message_class
+
+MESSAGES: dict[str, Any] = {kind: message_class(kind) for kind in (POINT, *TOOL_POSES)}
 
 
 class Graph(Protocol):
-    """The node, as far as it tells which types are published."""
+    """The part of the node that reports the published types."""
 
     def get_publishers_info_by_topic(self, topic_name: str) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic."""
@@ -34,8 +25,7 @@ class Graph(Protocol):
 
 def accepted_types(probe_type: str) -> tuple[str, ...]:
     """Return the message types that ``probe.type`` allows."""
-    return {'point': (POINT,), 'pose': tuple(kind for kind in MESSAGES if kind != POINT)}.get(
-        probe_type, tuple(MESSAGES))
+    return {'point': (POINT,), 'pose': tuple(TOOL_POSES)}.get(probe_type, tuple(MESSAGES))
 
 
 def type_to_receive(graph: Graph, topic: str, probe_type: str, current: str) -> str:

@@ -69,11 +69,16 @@ class Calibrations:
         The detail of the answer is then the `FixedPoint`.  The session does not use it until
         ``probe.tip`` is set, see `Session.configure`.
         """
-        return _completed(self.begin_or_end(CalibrationKind.TIP))
+        return self.call(CalibrationKind.TIP)
 
     def find_joint_centre(self) -> Answer:
         """Start to search for the centre of a joint; the next call ends it and takes a moment."""
-        return _completed(self.begin_or_end(CalibrationKind.JOINT_CENTRE))
+        return self.call(CalibrationKind.JOINT_CENTRE)
+
+    def call(self, kind: CalibrationKind) -> Answer:
+        """Start a calibration, or end the one that runs, which takes a moment."""
+        answer = self.begin_or_end(kind)
+        return answer if isinstance(answer, Answer) else answer()
 
     def begin_or_end(self, kind: CalibrationKind) -> Answer | Callable[[], Answer]:
         """
@@ -81,9 +86,20 @@ class Calibrations:
 
         After the end a function is returned that takes a moment to find the answer.
         """
-        running = self._begin_or_end(kind)
-        if isinstance(running, Answer):
-            return running
+        with self._lock:
+            running, self._running = self._running, None
+            if running is None:
+                problem = ('' if kind is CalibrationKind.TIP
+                           else _why_no_joint_centre(self._state.config))
+                if problem:
+                    return Answer(False, problem)
+                self._running = Calibration(kind)
+                self._notices.set('')
+                return Answer(True, f'{kind.sentence}, then call ~/{kind.value} again')
+            if running.kind is not kind:
+                self._running = running
+                return Answer(False, f'{running.kind.sentence}, and end this first: call '
+                              f'~/{running.kind.value}')
         return partial(self._tip if kind is CalibrationKind.TIP else self._joint_centre, running)
 
     def _tip(self, running: Calibration) -> Answer:
@@ -102,24 +118,6 @@ class Calibrations:
                       f'{1e3 * landmark.sigma_m:.1f} mm; '
                       f'{answer_of(found, "the reference array").message}', landmark)
 
-    def _begin_or_end(self, kind: CalibrationKind) -> Answer | Calibration:
-        """Start a calibration and return the answer, or end the one that runs and return it."""
-        with self._lock:
-            running, self._running = self._running, None
-            if running is None:
-                problem = ('' if kind is CalibrationKind.TIP
-                           else _why_no_joint_centre(self._state.config))
-                if problem:
-                    return Answer(False, problem)
-                self._running = Calibration(kind)
-                self._notices.set('')
-                return Answer(True, f'{kind.sentence}, then call ~/{kind.value} again')
-            if running.kind is not kind:
-                self._running = running
-                return Answer(False, f'{running.kind.sentence}, and end this first: call '
-                              f'~/{running.kind.value}')
-            return running
-
     def drop(self) -> None:
         """End the calibration that runs without a result; the session is locked."""
         self._running = None
@@ -130,10 +128,6 @@ class Calibrations:
             if self._running is not None:
                 self._running = None
                 self._notices.set(f'the calibration is cancelled: {reason}', warning=True)
-
-
-def _completed(answer: Answer | Callable[[], Answer]) -> Answer:
-    return answer if isinstance(answer, Answer) else answer()
 
 
 def _why_no_joint_centre(config: Config) -> str:

@@ -42,8 +42,7 @@ import numpy as np
 
 from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.tool_pose import tip_positions
-from gsdf_registration.session import air
-from gsdf_registration.session.landmark_capture import LandmarkCapture
+from gsdf_registration.session import air, landmark_capture, verification
 from gsdf_registration.session.record import (
     COLUMNS,
     FIT,
@@ -56,7 +55,6 @@ from gsdf_registration.session.record import (
     landmark_from,
     verification_from,
 )
-from gsdf_registration.session.verification import with_tip
 
 CAPACITY = 1024     # points, at first
 # numbers of a point in an event: with the pose of the tool, or without
@@ -179,11 +177,9 @@ class Replay:
         for name, values in zip(COLUMNS['positions'], tip_positions(tools[rows], tip).T):
             points[name][rows] = values
         session['air'] = [list(row) for row in air.with_tip(session['air'], tip)]
-        landmarks = LandmarkCapture()
-        landmarks.captured = [landmark_from(item) for item in session['landmarks']]
-        landmarks.apply_tip(tip)
-        session['landmarks'] = plain(landmarks.captured)
-        session['verifications'] = plain(with_tip(
+        session['landmarks'] = plain(landmark_capture.with_tip(
+            [landmark_from(item) for item in session['landmarks']], tip))
+        session['verifications'] = plain(verification.with_tip(
             [verification_from(item) for item in session['verifications']], tip))
 
     def _withdraw_pose(self) -> None:

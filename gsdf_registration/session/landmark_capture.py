@@ -48,6 +48,13 @@ class CapturedLandmark:
     sigma_m: float = 0.0    # standard deviation per axis; 0: only for an initial guess
 
 
+def with_tip(captured: Sequence[CapturedLandmark],
+             tip: Sequence[float]) -> list[CapturedLandmark]:
+    """Return the landmarks with the touched positions for this tip of the tool."""
+    return [each if each.tool is None else
+            replace(each, tracker=np.array(tip_position(each.tool, tip))) for each in captured]
+
+
 class LandmarkCapture:
     """The captured landmarks of a session, in order; not thread-safe."""
 
@@ -66,10 +73,7 @@ class LandmarkCapture:
 
     def apply_tip(self, tip: Sequence[float]) -> None:
         """Compute the touched positions again from the tool poses, see `tip_position`."""
-        self.captured = [
-            each if each.tool is None else
-            replace(each, tracker=np.array(tip_position(each.tool, tip)))
-            for each in self.captured]
+        self.captured = with_tip(self.captured, tip)
 
     @property
     def has_tools(self) -> bool:

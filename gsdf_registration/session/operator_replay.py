@@ -105,9 +105,7 @@ class OperatorReplay:
             result = self._register(request.get('T_tracker_bone'))
             return Answer(result.success, f'{result.reason}: {result.message}')
         if name in [kind.value for kind in CalibrationKind]:
-            call = {CalibrationKind.TIP: session.calibrations.calibrate_tip,
-                    CalibrationKind.JOINT_CENTRE: session.calibrations.find_joint_centre}
-            return call[CalibrationKind(name)]()
+            return session.calibrations.call(CalibrationKind(name))
         if name == 'initial_pose':
             return session.set_initial_pose(np.array(request['T_tracker_bone']),
                                             request['frame_id'])
@@ -132,11 +130,10 @@ class OperatorReplay:
             session.configure(recorded_config(self._settings, self._settle))
             if event.name == 'activate':
                 self.active = True
-                session.collect(session.config.collect.automatic or session.collecting)
+                session.activate()
             elif event.name == 'deactivate':
                 self.active = False
-                session.calibrations.cancel('the node was deactivated')
-                session.collect(False)
+                session.deactivate()
         elif event.name == 'load':
             self._differ('the node loaded a session, which is not in the recording', event)
         elif event.name != 'save':

@@ -128,6 +128,15 @@ class Session:
             return Answer(True, f'{"collecting a new stroke" if on else "not collecting"}; '
                           + count_points(self._state))
 
+    def activate(self) -> Answer:
+        """Start to collect when the node becomes active, if ``collect.automatic`` or before."""
+        return self.collect(self.config.collect.automatic or self.collecting)
+
+    def deactivate(self) -> Answer:
+        """End the stroke and a calibration when the node becomes inactive."""
+        self.calibrations.cancel('the node was deactivated')
+        return self.collect(False)
+
     def undo(self) -> Answer:
         """
         Drop the stroke started last; the accepted registration stays until the next one.

@@ -226,7 +226,7 @@ class SessionState:
     def capture_landmark(self, now: float | None) -> Answer:
         """Capture the stationary tip as the next landmark; its points are not used in the fit."""
         answer, tip = self.landmarks.capture(self.tip, self.config.landmarks, now,
-                                             self.tools_received and not self.config.probe.tip)
+                                             self.tip_unknown)
         if tip is not None:
             self._withdraw(tip)
             self._report('landmark', plain(self.landmarks.captured[-1]))
@@ -371,9 +371,14 @@ class SessionState:
                        config.probe.shaft)
 
     @property
+    def tip_unknown(self) -> bool:
+        """Whether poses of a tool arrive, or were collected, and its tip is not known."""
+        return self.tools_received and not self.config.probe.tip
+
+    @property
     def tip_missing(self) -> bool:
         """Whether anything was touched with a tool whose tip is not known."""
-        return not self.config.probe.tip and (self.collection.has_tools or self.landmarks.has_tools)
+        return self.tip_unknown and (self.collection.has_tools or self.landmarks.has_tools)
 
     @property
     def result(self) -> RegistrationResult | None:
@@ -432,6 +437,7 @@ class SessionState:
         self.collection.restore(saved.points, saved.frame_id, saved.rejected, self.config)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
         self.landmarks.captured = saved.landmarks
+        self.tools_received |= self.collection.has_tools or self.landmarks.has_tools
         self.air.restore(saved.air)
         self.verifications = saved.verifications
         self._source_of = {name: number for number, name in enumerate(saved.source_names)}

@@ -125,7 +125,7 @@ def make_status(state: SessionState, solving: bool, notices: Notices,
         else state.landmarks.errors(accepted.T_tracker_bone),
         verification=summarize(state.verifications, state.config.limits.verification),
         notice=notices.text,
-        warning=notices.warning or tip_unknown(state),
+        warning=notices.warning or state.tip_unknown,
         session_id=state.session_id,
         registration_id=state.registration_id,
         pose_stamp=0.0 if state.accepted is None else state.accepted.newest,
@@ -159,7 +159,7 @@ def input_problem(state: SessionState) -> str:
     collection, counts = state.collection, state.collection.counts
     if _is_full(state):
         return _ADVICE[Rejection.FULL]
-    if tip_unknown(state):
+    if state.tip_unknown:
         return TIP_UNKNOWN
     while_collecting = collection.received - counts[Rejection.NOT_COLLECTING.value]
     expected = state.config.points_frame
@@ -171,11 +171,6 @@ def input_problem(state: SessionState) -> str:
     if collection.frame_id == '':
         return 'the points have no frame: header.frame_id must be set by their driver'
     return ''
-
-
-def tip_unknown(state: SessionState) -> bool:
-    """Return whether poses of a tool arrive, or were collected, and its tip is not known."""
-    return state.tip_missing or (state.tools_received and not state.config.probe.tip)
 
 
 def _is_full(state: SessionState) -> bool:

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from gsdf_registration.node.probe_topics import MESSAGES, POINT, POSE, type_to_receive
+from gsdf_registration.node.probe_topics import MESSAGES, type_to_receive
+from msg_adapters.motion import POINT, POSE
 
 TRANSFORM = 'geometry_msgs/msg/TransformStamped'
 TEXT = 'std_msgs/msg/String'
