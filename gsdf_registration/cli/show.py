@@ -83,7 +83,7 @@ def _read_points(args: argparse.Namespace, field: Field,
     import numpy as np
 
     from gsdf_registration.common.landmarks import NO_LANDMARKS
-    from gsdf_registration.common.samples import without_tools
+    from gsdf_registration.common.samples import untimed
     from gsdf_registration.common.tool_pose import TIP_UNKNOWN
     from gsdf_registration.registration.input_checks import initial_guess
     from gsdf_registration.session import Session
@@ -111,6 +111,5 @@ def _read_points(args: argparse.Namespace, field: Field,
             raise InputError(TIP_UNKNOWN)
         positions, _ = recording.tip_positions(config.probe.tip)
         positions = positions[np.isfinite(positions).all(axis=1)]
-        zeros = np.zeros(len(positions), np.int32)
-        points = without_tools(positions, zeros.astype(np.float64), zeros, zeros)
+        points = untimed(positions)
     return points, landmarks or NO_LANDMARKS, initial_guess(landmarks, T_tracker_bone)
