@@ -60,6 +60,7 @@ class Recorder:
         self.lost: dict[str, int] = {}
         self._node, self._bag, self._topics = node, bag, topics
         self._subscriptions: dict[str, tuple[Subscription, LostMessages]] = {}
+        self._unmatched: dict[str, str] = {}    # type of each topic that is not received yet
         self._refused: set[str] = set()
         self._looked = self._flushed = -LOOK
 
@@ -88,13 +89,17 @@ class Recorder:
             self._node.destroy_subscription(subscription)
 
     def _look(self) -> None:
-        """Subscribe to the topics that are published now."""
+        """Subscribe to the topics that are published now; report those that are received."""
         for name, _ in self._node.get_topic_names_and_types():
             if (name not in self._subscriptions and name not in self._refused
                     and any(fnmatchcase(name, topic) for topic in self._topics)):
                 publishers = self._node.get_publishers_info_by_topic(name)
                 if publishers:
                     self._subscribe(name, publishers)
+        for name, kind in list(self._unmatched.items()):
+            if self._subscriptions[name][0].get_publisher_count():
+                del self._unmatched[name]
+                print(f'recording {name} ({kind})', flush=True)
 
     def _subscribe(self, name: str, publishers: list[TopicEndpointInfo]) -> None:
         kind = publishers[0].topic_type
@@ -112,10 +117,11 @@ class Recorder:
             message, name, callback, _profile(publishers), raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
         self._subscriptions[name] = subscription, LostMessages(subscription)
-        print(f'recording {name} ({kind})', flush=True)
+        self._unmatched[name] = kind
 
-    def _on_message(self, topic: str, data: bytes) -> None:
-        self._bag.write(topic, time.time_ns(), data)
+    def _on_message(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
+        # the middleware's time: topics keep their order although messages wait in their queues
+        self._bag.write(topic, info['received_timestamp'] or time.time_ns(), data)
 
 
 def _profile(publishers: list[TopicEndpointInfo]) -> QoSProfile:

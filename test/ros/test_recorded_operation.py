@@ -94,6 +94,7 @@ def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: 
     client, name = tracker.client, shared_node.name
     running = recorder('/probe/tip', f'{name}/*')
     running.await_topic('/probe/tip')
+    tracker.await_subscriptions(2)      # of the node and of the recorder
     tracker.touch_landmarks(STILL)
     client.collect(True)
     tracker.send(tracker.positions[:250], tracker.steps[:250])
@@ -152,6 +153,7 @@ def test_a_recorder_that_is_ended_leaves_a_readable_bag(
         recorder: Callable[..., RecorderProcess]) -> None:
     running = recorder('/probe/tip', '/nobody')
     running.await_topic('/probe/tip')
+    tracker.await_subscriptions(2)      # of the node and of the recorder
     file = running.bag / f'{running.bag.name}.mcap'
     size = file.stat().st_size
     tracker.send(tracker.positions[:100])
