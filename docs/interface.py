@@ -68,6 +68,9 @@ PUBLISHED = {
                  'by residual, the next place to touch',
     '/tf': 'frame of the points → `model.frame_id`, re-sent at `tf.rate`, stamped as it is sent; '
            'never on `/tf_static`',
+    '/tf_static': '`model.frame_id` → `bone_centre` (`model.frame_id` with `_centre` added): the '
+                  'centre of the box around the bone, which displays follow; sent when a bone is '
+                  'loaded and the node is active',
 }
 # Only with gsdf_registration_msgs
 TYPED_TOPICS = ('~/result', '~/guidance')

@@ -20,13 +20,13 @@ from launch_ros.substitutions import FindPackageShare
 from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
 from gsdf_registration.common.config import NAMES
-from gsdf_registration.common.naming import prefix_of
+from gsdf_registration.common.naming import centre_frame, prefix_of
 
 SHARE = FindPackageShare('gsdf_registration')
 SWITCH = ['true', 'false', 'True', 'False']
 LEVELS = ['debug', 'info', 'warn', 'error', 'fatal']
 # the topics in config/registration.rviz
-SHOWN = ['markers', 'points', 'bone_pose_with_covariance', 'live_pose']
+SHOWN = ['markers', 'points', 'bone_pose_with_covariance', 'live_pose', 'tip']
 # the parameters that arguments override if they are given
 OVERRIDES = {'model': 'model.path', 'session': 'session.path', 'autostart': 'autostart',
              'use_sim_time': 'use_sim_time'}
@@ -94,8 +94,8 @@ def logger_of(node: str) -> str:
 
 
 def rviz(node: str, namespace: str) -> Node:
-    """Return RViz with the topics and the bone frame of the node."""
-    frame = prefix_of(*node.rsplit('/', 1)) + NAMES['model.frame_id']
+    """Return RViz with the topics of the node, looking at the centre of its bone."""
+    frame = centre_frame(prefix_of(*node.rsplit('/', 1)) + NAMES['model.frame_id'])
     return Node(
         package='rviz2', executable='rviz2', name='rviz', namespace=namespace,
         arguments=['-d', PathJoinSubstitution([SHARE, 'config', 'registration.rviz']),

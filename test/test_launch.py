@@ -260,8 +260,9 @@ def test_starts_nothing_if_rviz_is_not_installed(description: Description) -> No
         actions_of(description, rviz='true')
 
 
-@pytest.mark.parametrize('namespace, node, frame', [('', '/registration', 'bone'),
-                                                    ('femur', '/femur/registration', 'femur_bone')])
+@pytest.mark.parametrize('namespace, node, frame', [('', '/registration', 'bone_centre'),
+                                                    ('femur', '/femur/registration',
+                                                     'femur_bone_centre')])
 def test_rviz_shows_the_topics_of_the_node(description: Description, prefixes: Path,
                                            namespace: str, node: str, frame: str) -> None:
     index = prefixes / 'share/ament_index/resource_index/packages'

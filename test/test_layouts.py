@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,19 @@ import numpy as np
 import yaml
 
 from gsdf_registration.common.config import Config
+from gsdf_registration.common.naming import centre_frame
 from msg_adapters import markers
 
-CONFIG = Path(__file__).parents[1] / 'config'
+ROOT = Path(__file__).parents[1]
+CONFIG, PAGE = ROOT / 'config', ROOT / 'docs/interface.md'
+RED = '#b3120f'
 RVIZ = yaml.safe_load((CONFIG / 'registration.rviz').read_text())['Visualization Manager']
 FOXGLOVE = json.loads((CONFIG / 'foxglove_layout.json').read_text())
 # topics of the node that a layout shows
 LATCHED = {'/registration/markers', '/registration/points',
            '/registration/bone_pose_with_covariance'}
-VOLATILE = {'/registration/live_pose', *Config().probe.topics}
+VOLATILE = {'/registration/live_pose', '/registration/tip'}
+CENTRE = centre_frame(Config().bone_frame)      # the frame that both layouts look at
 MESSAGES = {'MarkerArray': 'visualization_msgs/msg/MarkerArray',
             'PointCloud2': 'sensor_msgs/msg/PointCloud2',
             'PoseWithCovariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
@@ -33,9 +38,12 @@ def rviz_topics() -> dict[str, dict[str, str]]:
         for display in RVIZ['Displays'] if 'Topic' in display}
 
 
-def test_rviz_shows_all_topics_in_the_bone_frame() -> None:
+def test_rviz_shows_all_topics_and_looks_at_the_centre_of_the_bone() -> None:
     assert rviz_topics().keys() == LATCHED | VOLATILE
-    assert RVIZ['Global Options']['Fixed Frame'] == Config().bone_frame
+    assert RVIZ['Global Options']['Fixed Frame'] == CENTRE
+    view = RVIZ['Views']['Current']
+    assert view['Target Frame'] == '<Fixed Frame>'
+    assert view['Focal Point'] == {'X': 0, 'Y': 0, 'Z': 0}
     assert 'rviz_default_plugins/TF' in {display['Class'] for display in RVIZ['Displays']}
     assert all(display['Enabled'] is display['Value'] for display in RVIZ['Displays'])
     shown = {display['Name'] for display in RVIZ['Displays'] if display['Enabled']}
@@ -54,25 +62,58 @@ def test_rviz_enables_the_namespaces_of_the_markers() -> None:
     scene = next(display for display in RVIZ['Displays'] if display['Name'] == 'Scene')
     none = np.zeros((0, 3))
     names = {marker.ns for marker in [*markers.bone(none, none, none), *markers.points(none, none),
+                                      *markers.border(np.zeros((0, 2, 3)), np.zeros(3)),
                                       *markers.patches(none, none, 0.0, [], np.zeros(3))]}
     assert scene['Namespaces'] == dict.fromkeys(names, True)
 
 
 def panels(layout: Any) -> list[str]:
-    """Return the panels of a Foxglove layout in order."""
+    """Return the panels of a Foxglove layout in order, with those in tabs."""
     if isinstance(layout, str):
-        return [layout]
+        tabs = FOXGLOVE['configById'][layout].get('tabs', [])
+        return [layout, *(panel for tab in tabs for panel in panels(tab['layout']))]
     assert layout['direction'] in ('row', 'column') and 0 < layout['splitPercentage'] < 100
     return panels(layout['first']) + panels(layout['second'])
 
 
-def test_foxglove_shows_all_topics_in_the_bone_frame() -> None:
+def described_services() -> dict[str, str]:
+    """Return the type of every service of the node, from docs/interface.md, which is tested."""
+    rows = re.findall(r'^\| srv \| `~/(\S+)` \| (\S+) ', PAGE.read_text(), re.MULTILINE)
+    return {f'/registration/{name}': kind for name, kind in rows}
+
+
+def test_foxglove_has_a_button_for_every_service() -> None:
+    calls = [panel for panel in FOXGLOVE['configById'].values() if 'serviceName' in panel]
+    services = described_services()
+    assert len(services) > 10 and {call['serviceName'] for call in calls} == services.keys()
+    assert len({(call['serviceName'], call['requestPayload']) for call in calls}) == len(calls)
+    fields = {'std_srvs/Trigger': set(), 'std_srvs/SetBool': {'data'}}
+    for call in calls:
+        name, kind = call['serviceName'], services[call['serviceName']]
+        request = fields.get(kind) if kind in fields else request_fields(kind)
+        assert json.loads(call['requestPayload']).keys() <= request, name
+        assert call['buttonText'] and call['buttonTooltip'] and call['timeoutSeconds'] >= 10
+        drops_points = name.endswith(('/load', '/clear', '/drop_stroke'))
+        assert (call.get('buttonColor') == RED) is drops_points, name
+    pressed = [call['requestPayload'] for call in calls if call['serviceName'].endswith('/collect')]
+    assert [json.loads(payload) for payload in pressed] == [{'data': True}, {'data': False}]
+
+
+def request_fields(kind: str) -> set[str]:
+    """Return the fields of the request of a service of gsdf_registration_msgs."""
+    package, name = kind.split('/')
+    request = (ROOT / package / f'srv/{name}.srv').read_text().split('---')[0]
+    return set(re.findall(r'^[a-z]\S* +(\w+)', request, re.MULTILINE | re.IGNORECASE))
+
+
+def test_foxglove_shows_all_topics_and_looks_at_the_centre_of_the_bone() -> None:
     placed = panels(FOXGLOVE['layout'])
     assert sorted(placed) == sorted(FOXGLOVE['configById'])
     scene = FOXGLOVE['configById']['3D!scene']
-    assert scene['followTf'] == Config().bone_frame
+    assert (scene['followTf'], scene['followMode']) == (CENTRE, 'follow-pose')
+    assert scene['cameraState']['target'] == scene['cameraState']['targetOffset'] == [0, 0, 0]
     # the 3D panel does not draw PointStamped
-    assert scene['topics'].keys() == (LATCHED | VOLATILE) - set(Config().probe.topics)
+    assert scene['topics'].keys() == (LATCHED | VOLATILE) - {'/registration/tip'}
     assert scene['topics']['/registration/markers']['visible']
     assert scene['topics']['/registration/live_pose']['visible']
 
@@ -83,5 +124,7 @@ def test_sizes_suit_a_bone() -> None:
              if key in ('Axes Length', 'Axes Radius', 'Radius', 'Size (m)', 'Shaft Length')]
     assert sizes and max(sizes) <= 0.1
     view, camera = RVIZ['Views']['Current'], FOXGLOVE['configById']['3D!scene']['cameraState']
-    assert 0.2 < view['Distance'] < 1.0 and view['Near Clip Distance'] <= 0.02
-    assert 0.2 < camera['distance'] < 1.0 and camera['near'] <= 0.02
+    for distance, near in ((view['Distance'], view['Near Clip Distance']),
+                           (camera['distance'], camera['near'])):
+        # a whole femur, 0.46 m, fits in the view, 45 degrees high in both
+        assert 0.46 < 2.0 * distance * np.tan(np.pi / 8.0) < 0.7 and near <= 0.02

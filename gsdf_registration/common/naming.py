@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+CENTRE = '_centre'              # added to the frame of a bone
 NODE_NAME = 'registration'      # of the executable and the launch file
 
 
@@ -17,3 +18,8 @@ def prefix_of(namespace: str, name: str) -> str:
     if words[-1] == NODE_NAME:
         words.pop()
     return ''.join(f'{word}_' for word in words)
+
+
+def centre_frame(bone_frame: str) -> str:
+    """Return the name of the frame at the centre of the bone, with the axes of the bone frame."""
+    return bone_frame + CENTRE

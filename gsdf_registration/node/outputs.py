@@ -21,6 +21,7 @@ from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.live import LivePose
 from gsdf_registration.live.assessment import FullAssessment
+from gsdf_registration.node.centre_frame import CentreFrame
 from gsdf_registration.node.publishers import PosePublishers
 from gsdf_registration.node.results import ResultPublishers
 from gsdf_registration.node.scene import ScenePublisher
@@ -34,6 +35,7 @@ class Outputs:
         self._poses = PosePublishers(node, config)
         self._results = ResultPublishers(node, config)
         self._scene = ScenePublisher(node, config.model.frame_id)
+        self._centre = CentreFrame(node, config.model.frame_id)
         self._drawing = threading.Lock()
         self._field: Field | None = None
         self._shows_live = False    # whether the scene shows the live registration
@@ -51,6 +53,8 @@ class Outputs:
     def show_bone(self, field: Field | None, session: Session) -> None:
         """Show this bone from now on, with the registered pose if there is one."""
         self._field, self._shown = field, ()
+        if field is not None:
+            self._centre.show(field)
         self.show_registration(session)
 
     def show_registration(self, session: Session) -> None:
@@ -109,6 +113,7 @@ class Outputs:
         self._poses.destroy()
         self._results.destroy()
         self._scene.destroy()
+        self._centre.destroy()
 
     def _draw_registration(self, session: Session,
                            next_touches: Sequence[NextTouch] = ()) -> None:

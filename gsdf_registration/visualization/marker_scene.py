@@ -24,6 +24,12 @@ MAX_FACES = 12_000      # of the bone: at 120 bytes each, a message stays below 
 MAX_POINTS = 20_000     # drawn as markers, evenly spread over all; at 40 bytes each
 
 
+def centre_of(field: Field) -> Array:
+    """Return the centre (3,), m, bone frame, of the box around a bone, which displays look at."""
+    corners = [field.surface_points.min(axis=0), field.surface_points.max(axis=0)]
+    return np.mean(corners, axis=0, dtype=np.float64)
+
+
 class MarkerScene:
     """Makes the markers of complete scenes; it keeps the decimated surface of the last bone."""
 
