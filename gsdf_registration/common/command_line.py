@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib.util
+import itertools
 import logging
 import math
 import os
@@ -218,3 +219,23 @@ def progress_bar(text: str) -> Iterator[Callable[[float], None]]:
         yield show
     finally:
         print(file=sys.stderr)
+
+
+@contextmanager
+def counting_bar(text: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
+    """
+    Show a progress bar of ``total`` jobs on a terminal; print nothing if it is not a terminal.
+
+    It yields a function to be called for each finished job.
+    """
+    if importlib.util.find_spec('rich') is None or not sys.stderr.isatty():
+        with progress_bar(text) as show:
+            finished = itertools.count(done + 1)
+            yield lambda: show(next(finished) / total)
+        return
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(text, total=total, completed=done)
+        yield lambda: bar.advance(task)
