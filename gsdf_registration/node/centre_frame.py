@@ -6,11 +6,15 @@ from __future__ import annotations
 import numpy as np
 from rclpy.lifecycle import LifecycleNode
 
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:     # there is no wheel of it; a ROS installation has it
+    TFMessage = None
+
 from gsdf_registration.common.naming import centre_frame
 from gsdf_registration.common.rigid import from_rt
 from gsdf_registration.field import Field
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
-from gsdf_registration.node.transforms import TFMessage
 from gsdf_registration.visualization.marker_scene import centre_of
 from msg_adapters import ros
 
