@@ -68,8 +68,10 @@ class Robot(Node):
             self.stop('the registration node is gone')
 
     def check_publisher(self) -> None:
-        """Say so if there is no node."""
+        """Stop, and after a while say so, if there is no node."""
         self.missing = 0 if self.count_publishers(self.topic) else self.missing + 1
+        if self.missing:
+            self.stop('the registration node is gone')
         if self.missing == round(PATIENCE / PERIOD):
             print(f'nobody publishes {self.topic}: is the node started, in this ROS domain, and '
                   'was it built with gsdf_registration_msgs?', file=sys.stderr)

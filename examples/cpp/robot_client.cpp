@@ -12,13 +12,14 @@ public:
   : Node("robot"), max_tre_(declare_parameter("max_tre", 0.001)),     // m
     grades_(declare_parameter("grades", std::string("AB")))
   {
-    const auto lease = rclcpp::Duration::from_seconds(3.0);     // to notice a node that was killed
-    const auto qos = rclcpp::QoS(1).reliable().transient_local().liveliness(
-      rclcpp::LivelinessPolicy::Automatic).liveliness_lease_duration(lease);
+    const auto qos = rclcpp::QoS(1).reliable().transient_local().liveliness(  // notices a kill
+      rclcpp::LivelinessPolicy::Automatic).liveliness_lease_duration(std::chrono::seconds(3));
     rclcpp::SubscriptionOptions options;
-    options.event_callbacks.liveliness_callback = [this](rclcpp::QOSLivelinessChangedInfo & event) {
-        if (event.alive_count == 0) {stop("the registration node is gone");}
-      };
+    options.event_callbacks.liveliness_callback =
+      [this](auto & event) {if (event.alive_count == 0) {stop("the registration node is gone");}};
+    timer_ = create_wall_timer(std::chrono::milliseconds(100), [this]() {
+        if (count_publishers("registration/result") == 0) {stop("the registration node is gone");}
+      });
     subscription_ = create_subscription<RegistrationResult>(
       "registration/result", qos, [this](const RegistrationResult & result) {
         const std::string reason = problem(result);
@@ -30,9 +31,8 @@ private:
   std::string problem(const RegistrationResult & result) const
   {
     if (!result.valid) {return result.message;}
-    if (result.grade.empty() || grades_.find(result.grade) == std::string::npos) {
-      return "grade \"" + result.grade + "\", and one of " + grades_ + " is required";
-    }
+    const bool graded = !result.grade.empty() && grades_.find(result.grade) != std::string::npos;
+    if (!graded) {return "grade \"" + result.grade + "\" is not one of " + grades_;}
     bool good = !result.target_tre.empty() || result.tre_max <= max_tre_;
     for (const double error : result.target_tre) {good = good && error <= max_tre_;}  // not if NaN
     return good ? "" : "the predicted error at a target exceeds max_tre";
@@ -51,10 +51,10 @@ private:
   std::string grades_;
   bool moving_ = false;
   rclcpp::Subscription<RegistrationResult>::SharedPtr subscription_;
+  rclcpp::TimerBase::SharedPtr timer_;
 };
 int main(int argc, char ** argv)
 {
   rclcpp::init(argc, argv);
   rclcpp::spin(std::make_shared<Robot>());
-  rclcpp::shutdown();
 }

@@ -42,10 +42,9 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def in_job_directory(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in that directory, with a separate cache and one ray per pixel."""
+    """Work in that directory, with a separate cache."""
     monkeypatch.setenv('GSDF_CACHE_DIR', str(job / 'cache'))
     monkeypatch.delenv('DISPLAY', raising=False)
-    monkeypatch.setattr(picture, 'OVERSAMPLING', 1)
     monkeypatch.chdir(job)
 
 

@@ -19,12 +19,6 @@ from gsdf_registration.visualization import colours, picture
 from gsdf_registration.visualization.render import Scene
 
 
-@pytest.fixture(autouse=True)
-def _one_ray_per_pixel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cast one ray per pixel, which is faster and shows the same."""
-    monkeypatch.setattr(picture, 'OVERSAMPLING', 1)
-
-
 def without_pose(scene: Scene) -> Scene:
     return dataclasses.replace(scene, T_tracker_bone=None, covariance=None,
                                residuals=np.zeros(0), weights=np.zeros(0), next_touches=())

@@ -26,7 +26,7 @@ from gsdf_registration.common.rigid import Array, quaternion_from_rotation, tran
 from gsdf_registration.common.samples import untimed
 from gsdf_registration.field import Field
 from gsdf_registration.registration.pipeline import register
-from gsdf_registration.visualization import ReportContent, colours, picture, write_report
+from gsdf_registration.visualization import ReportContent, colours, write_report
 
 OUTLIERS = 20
 ABOUT = {'model SHA-256': 'c0ffee' * 10, 'points': '<b>points</b>.csv'}
@@ -67,11 +67,6 @@ def page(result: RegistrationResult, field: Field, points: Array,
          tmp_path_factory: pytest.TempPathFactory) -> str:
     return written(tmp_path_factory.mktemp('report'), result, field, points, case='case 7',
                    config=Config().replaced({'model.path': 'femur_left.stl'}))
-
-
-@pytest.fixture(autouse=True)
-def one_ray_per_pixel(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(picture, 'OVERSAMPLING', 1)
 
 
 def text_of(page: str) -> str:
