@@ -85,7 +85,7 @@ class BagFiles:
         if not self.path.exists():
             raise InputError(f'{path} does not exist')
         if self.path.is_file():
-            if not _is_storage(self.path):
+            if not is_storage(self.path):
                 raise InputError(f'{path} is not a bag; choose a rosbag2 directory, its .mcap or '
                                  '.db3 file, or a .bag file of ROS 1')
             self.parts = [self.path]
@@ -154,7 +154,7 @@ class BagFiles:
     def _parts_of_folder(self) -> list[Path]:
         """Return the storage files of a directory, in the order of its metadata."""
         # the parts of a split bag are numbered without leading zeros
-        files = sorted((file for file in self.path.iterdir() if _is_storage(file)),
+        files = sorted((file for file in self.path.iterdir() if is_storage(file)),
                        key=lambda file: (len(file.name), file.name))
         metadata = self.path / 'metadata.yaml'
         if not files:
@@ -182,7 +182,8 @@ class BagFiles:
         return [file for matching in found.values() for file in matching[:1]] or files
 
 
-def _is_storage(file: Path) -> bool:
+def is_storage(file: Path) -> bool:
+    """Return whether a file is one of a recording, by its name."""
     stem = file.with_suffix('') if file.suffix in COMPRESSED else file
     return file.is_file() and stem.suffix in READERS
 
