@@ -83,7 +83,7 @@ setup(
             'ros-jazzy-ament-cmake-ros==0.12.0',
             'ros-jazzy-python-cmake-module==0.11.1',
         ],
-        'console': ['viser>=1.1'],
+        'console': ['viser>=1.1', 'websockets>=15'],
         'report': ['matplotlib>=3.7', 'pillow>=10'],
         # OpenIGTLink: PLUS, Slicer
         'igtl': ['pyigtl>=0.3'],

@@ -17,7 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 from gsdf_registration.common.command_line import positive_number
 from gsdf_registration.common.result import InputError
-from gsdf_registration.visualization.web_access import Gate, free_port, require_viser
+from gsdf_registration.visualization.web_access import (
+    Gate,
+    free_port,
+    require_viser,
+    secret_origin,
+)
 
 if TYPE_CHECKING:
     from gsdf_registration.node.console_link import ConsoleLink
@@ -121,14 +126,15 @@ class ServedPage:
         gated = bool(options.token)
         buttons: dict[str, Any] = {'actions': ()} if options.view_only else {
             'run': link.run, 'drop_stroke': link.drop_stroke}
-        self.page: ConsolePage = ConsolePage(
-            **buttons, host='127.0.0.1' if gated else options.host,
-            port=free_port() if gated else options.port, ras=options.model_axes == 'ras')
+        ras, origin = options.model_axes == 'ras', secret_origin()
+        self.page: ConsolePage = (
+            ConsolePage(**buttons, port=free_port(), ras=ras, origin=origin) if gated
+            else ConsolePage(**buttons, host=options.host, port=options.port, ras=ras))
         self._gate: Any = None
         port = self.page.port
         if gated:
             try:
-                self._gate = Gate(options.host, options.port, options.token, port)
+                self._gate = Gate(options.host, options.port, options.token, port, origin)
             except InputError:
                 self.page.stop()
                 raise

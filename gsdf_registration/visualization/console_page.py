@@ -8,6 +8,7 @@ The page knows neither ROS nor the session. It draws markers, as of ``~/markers`
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from gsdf_registration.visualization import console_panel
 from gsdf_registration.visualization.console_panel import Limits, Tracker
 from gsdf_registration.visualization.console_scene import ConsoleScene, LandmarkPlaces
 from gsdf_registration.visualization.timeline import Timeline
+from gsdf_registration.visualization.web_access import LOCAL, accept_only
 from msg_adapters.marker_cdr import Marker
 
 PANEL = 385     # px, width of the panel on a wide screen
@@ -80,6 +82,8 @@ class ConsolePage:
         Names of the actions that have a button.
     ras : bool
         Whether x is right and y anterior in the bone frame, instead of left and posterior.
+    origin : str or pattern
+        Pages that may connect, see `accept_only`; the default are those of this machine.
 
     Raises
     ------
@@ -92,7 +96,7 @@ class ConsolePage:
                  drop_stroke: Callable[[int], tuple[bool, str]] | None = None, *,
                  host: str = '127.0.0.1', port: int = 8080,
                  actions: Container[str] = ALL_ACTIONS,
-                 ras: bool = False) -> None:
+                 ras: bool = False, origin: str | re.Pattern[str] = LOCAL) -> None:
         self._run, self._drop_stroke = run or _refuse, drop_stroke
         self._actions = [each for each in ACTIONS if each.name in actions]
         self._lock = threading.RLock()
@@ -103,8 +107,9 @@ class ConsolePage:
         self._buttons: dict[str, Any] = {}
         self._stroke_rows: dict[int, str] = {}
         self._stroke_handles: list[Any] = []
-        self.server = viser.ViserServer(host=host, port=port, label='Bone registration',
-                                        verbose=False)
+        with accept_only(origin):
+            self.server = viser.ViserServer(host=host, port=port, label='Bone registration',
+                                            verbose=False)
         if self.server.get_port() != port:      # viser takes the next one that is free
             self.server.stop()
             raise InputError(f'port {port} is in use; give another --port')

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A gate in front of a page for other machines: only those who know the token pass.
+Who may connect to a page: pages of this machine, and from elsewhere those who know the token.
+
+A browser sends along which page opens a connection (``Origin``, RFC 6454). The connection of the
+console presses buttons, so one that a page of another site opens is refused, see `accept_only`.
 
 The page itself is served on the loopback interface. The gate accepts connections from elsewhere,
 reads the head of the first request of each, and forwards the connection if the request carries the
@@ -14,8 +17,11 @@ import contextlib
 import hmac
 import importlib.util
 import re
+import secrets
 import socket
 import threading
+from collections.abc import Iterator
+from functools import partial
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
@@ -25,9 +31,13 @@ COOKIE = 'gsdf_token'
 MAX_HEAD = 65_536   # bytes
 PATIENCE = 10.0     # s, for the head of a request
 CHUNK = 65_536      # bytes
-REFUSED = (b'HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain; charset=utf-8\r\n'
-           b'Connection: close\r\n\r\nOpen this page with ?token=SECRET at the end of the address, '
-           b'as registration_console was started with --token SECRET.\n')
+# pages of this machine, whatever their port: it may be forwarded
+LOCAL = re.compile(r'http://(localhost|127\.0\.0\.1|\[::1\])(:[0-9]+)?')
+FORBIDDEN = (b'HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain; charset=utf-8\r\n'
+             b'Connection: close\r\n\r\n')
+REFUSED = FORBIDDEN + (b'Open this page with ?token=SECRET at the end of the address, as '
+                       b'registration_console was started with --token SECRET.\n')
+FOREIGN = FORBIDDEN + b'A page of another site may not use this one.\n'
 
 
 def require_viser() -> None:
@@ -44,6 +54,23 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+@contextlib.contextmanager
+def accept_only(origin: str | re.Pattern[str]) -> Iterator[None]:
+    """
+    Let the websocket servers that start in the block accept only connections of these pages.
+
+    websockets can check the origin, but viser has no argument for it. A page of another site could
+    else press buttons, also under a name that it has redirected to 127.0.0.1 (DNS rebinding).
+    """
+    from websockets.asyncio import server
+    original = server.serve
+    server.serve = partial(original, origins=[origin])  # type: ignore[assignment,misc]
+    try:
+        yield
+    finally:
+        server.serve = original     # type: ignore[misc]
+
+
 class Gate:
     """
     Forwards connections at ``host`` and ``port`` to a page on this machine.
@@ -54,6 +81,8 @@ class Gate:
     token : str
     page_port : int
         Port of the page at 127.0.0.1.
+    origin : str
+        That the page accepts: a secret, so that nothing passes by the gate, see `accept_only`.
 
     Raises
     ------
@@ -62,10 +91,10 @@ class Gate:
 
     """
 
-    def __init__(self, host: str, port: int, token: str, page_port: int) -> None:
+    def __init__(self, host: str, port: int, token: str, page_port: int, origin: str) -> None:
         if not re.fullmatch(r'[A-Za-z0-9_-]{8,}', token):
             raise InputError('the token must have 8 or more letters, digits, - and _')
-        self._token, self._page_port = token, page_port
+        self._token, self._page_port, self._origin = token, page_port, origin
         self._loop = asyncio.new_event_loop()
         try:
             self._server = self._loop.run_until_complete(
@@ -100,7 +129,7 @@ class Gate:
                 return
             page_reader, page_writer = await asyncio.open_connection('127.0.0.1', self._page_port)
             with contextlib.closing(page_writer):
-                page_writer.write(head)
+                page_writer.write(with_origin(head, self._origin))
                 both = [asyncio.ensure_future(_copy(reader, page_writer)),
                         asyncio.ensure_future(_copy(page_reader, writer))]
                 await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
@@ -133,13 +162,29 @@ def check_request(head: bytes, token: str) -> bytes | None:
         return ('HTTP/1.1 303 See Other\r\nLocation: /\r\n'
                 f'Set-Cookie: {COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/\r\n'
                 'Content-Length: 0\r\nConnection: close\r\n\r\n').encode()
-    headers = dict(line.split(': ', 1) for line in lines if ': ' in line)
-    cookies = {name.lower(): value for name, value in headers.items()}.get('cookie', '')
+    headers = {name.lower(): value.strip() for name, colon, value in (
+        line.partition(':') for line in lines) if colon}
     try:
-        cookie = SimpleCookie(cookies).get(COOKIE)
+        cookie = SimpleCookie(headers.get('cookie', '')).get(COOKIE)
     except CookieError:
         cookie = None
-    return None if cookie is not None and _same(cookie.value, token) else REFUSED
+    if cookie is None or not _same(cookie.value, token):
+        return REFUSED
+    # the cookie is sent for pages of every port of this host
+    origin = urlsplit(headers.get('origin', '')).netloc
+    return None if origin in ('', headers.get('host')) else FOREIGN
+
+
+def with_origin(head: bytes, origin: str) -> bytes:
+    """Return the head of a request with this origin in place of its own."""
+    first, *lines = head.split(b'\r\n')
+    kept = [line for line in lines if not line.lower().startswith(b'origin:')]
+    return b'\r\n'.join([first, f'Origin: {origin}'.encode(), *kept])
+
+
+def secret_origin() -> str:
+    """Return an origin that no page has and nobody can guess."""
+    return f'http://{secrets.token_hex(16)}.invalid'
 
 
 def _same(given: str, token: str) -> bool:
