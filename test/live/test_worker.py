@@ -202,9 +202,9 @@ def test_uses_changed_settings(recorder: Recorder, session: Session, worker: Liv
 
 def test_searches_around_the_initial_pose_first(recorder: Recorder, session: Session,
                                                 worker: LiveWorker) -> None:
-    assert worker._guess(NO_LANDMARKS) is None
+    assert worker._steps._guess(NO_LANDMARKS) is None
     assert session.set_initial_pose(T_TRACKER_BONE).success
-    guess = worker._guess(NO_LANDMARKS)
+    guess = worker._steps._guess(NO_LANDMARKS)
     assert guess is not None and np.allclose(guess @ T_TRACKER_BONE, np.eye(4))
 
 
@@ -216,7 +216,7 @@ def test_landmarks_touched_by_a_ball_tip_are_expected_where_its_centre_is(
     def for_tip(landmarks: Landmarks, field: Field) -> Landmarks:
         seen.append(field.tip_radius)
         return landmarks
-    monkeypatch.setattr('gsdf_registration.live.worker.for_tip', for_tip)
+    monkeypatch.setattr('gsdf_registration.live.steps.for_tip', for_tip)
     fill(session, 600)
     recorder.wait_for(lambda: bool(seen))
     assert set(seen) == {0.0}
