@@ -9,6 +9,8 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from gsdf_registration.common.command_line import spinner
+
 if TYPE_CHECKING:
     from gsdf_registration.common.rigid import Array
     from gsdf_registration.visualization.report_content import ReportContent
@@ -27,7 +29,8 @@ def write_report(path: str | None, content: ReportContent) -> None:
     """Write the HTML report if ``--report`` was given."""
     if path is not None:
         from gsdf_registration.visualization import write_report as write
-        write(path, content)
+        with spinner('writing the report'):
+            write(path, content)
 
 
 def about_inputs(model: str, points: str, document: Mapping[str, Any]) -> dict[str, str]:

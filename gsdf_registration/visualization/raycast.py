@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
+from gsdf_registration.field.sample import FieldArrays, sample
 
 HIT = 5e-5          # m: a ray this near to the surface has hit it
 STEP_SHARE = 0.95   # of the distance per step: the field is interpolated and may be slightly off
@@ -89,20 +91,37 @@ def cast(field: Field, camera: Camera) -> tuple[NDArray[np.intp], Array]:
     slope = np.where(np.abs(back) < 1e-12, 1e-12, back)
     ends = (field.bounds + np.array([[-0.002], [0.002]]) - at[:, None]) / slope
     nearest, farthest = ends.max(axis=1).min(axis=1), ends.min(axis=1).max(axis=1)
-    active = np.flatnonzero(nearest > farthest)
-    at += nearest[:, None] * back
-    hits = []
-    for _ in range(MAX_STEPS):
-        distance, _ = field.sample(at[active])
-        at[active] -= STEP_SHARE * distance[:, None] * back
-        nearest[active] -= STEP_SHARE * distance
-        hit = distance < HIT
-        hits.append(active[hit])
-        active = active[~hit & (nearest[active] > farthest[active])]
-        if not len(active):
-            break
-    visible = np.sort(np.concatenate(hits))
-    return visible, at[visible]
+    visible = np.flatnonzero(nearest > farthest)
+    at = at[visible] + nearest[visible, None] * back
+    hit = _advance(field.arrays, at, back, (nearest - farthest)[visible])
+    return visible[hit], at[hit]
+
+
+@kernel
+def _advance(field: FieldArrays, at: Array, back: Array, length: Array) -> NDArray[np.bool_]:
+    """
+    Move positions ``at`` (n, 3) against ``back`` (3,) to the surface; return which reach it (n,).
+
+    Each gives up after its ``length`` (n,), m.
+    """
+    hit = np.zeros(len(at), np.bool_)
+    for i in range(len(at)):
+        x, y, z = at[i]
+        left = length[i]
+        for _ in range(MAX_STEPS):
+            distance = sample(field, x, y, z)[0]
+            step = STEP_SHARE * distance
+            x -= step * back[0]
+            y -= step * back[1]
+            z -= step * back[2]
+            left -= step
+            if distance < HIT:
+                hit[i] = True
+                break
+            if left <= 0.0:
+                break
+        at[i] = x, y, z
+    return hit
 
 
 def light(field: Field, places: Array, camera: Camera) -> tuple[Array, Array]:
