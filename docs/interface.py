@@ -293,6 +293,9 @@ def _parameters() -> Iterator[str]:
         yield f'| `{name}` | {kind} | {shown} | {bounds} | {meaning} |'
     yield ('| `autostart` | bool | `True` |  | become active without a lifecycle manager; '
            'read at start only |')
+    yield ('| `service_configure_introspection` | string | `disabled` | `disabled`, `metadata`, '
+           '`contents` | whether requests and responses are published on '
+           '`<service>/_service_event` |')
 
 
 def main() -> int:

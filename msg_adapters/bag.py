@@ -24,13 +24,15 @@ from msg_adapters.motion import (
 )
 from msg_adapters.recorded_events import (
     STATUS,
+    Order,
     decoded_events,
-    events_topic,
+    events_source,
     node_order,
     settings_of,
 )
 from msg_adapters.recording import RecordedEvent, RecordedTransform, Recording
 from msg_adapters.recording_notes import stamp_notes
+from msg_adapters.service_events import TYPES_OF_EVENTS, read_service_events, service_topics
 
 TF = 'tf2_msgs/msg/TFMessage'
 FRAMES = {'/tf': False, '/tf_static': True}     # whether a transform is valid for all times
@@ -73,9 +75,9 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     frames : bool, optional
         Whether `Recording.transforms` also contains those of /tf and /tf_static.
     events : str, optional
-        Topic with what the operator did, see `events_topic`; None: the only one. The default is
-        none. The topics of the probe and of the reference array are then those of the node, unless
-        they are given.
+        Topic or node with what the operator did, see `events_source`; None: the only one. The
+        default is none. The topics of the probe and of the reference array are then those of the
+        node, unless they are given.
 
     Returns
     -------
@@ -90,9 +92,12 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
         type.
 
     """
-    bag = BagFiles(path, (POINT, *TOOL_POSES, TF, STATUS))
+    bag = BagFiles(path, (POINT, *TOOL_POSES, TF, STATUS, *TYPES_OF_EVENTS))
     types = {topic.name: topic.msgtype for topic in bag.topics()}
-    operator = _events(bag, events_topic(types, events))
+    source = events_source(types, events)
+    services = None if not source or source in types else read_service_events(
+        bag.messages(service_topics(source)), source)
+    operator = _events(bag, source) if services is None else services.events
     used = settings_of(operator)
     if topics is None and set(used.get('probe.topics', ())) & set(types):
         topics = [name for name in used['probe.topics'] if name in types]
@@ -105,8 +110,12 @@ def read_bag(path: str | os.PathLike[str], topics: Sequence[str] | None = None,
     tf_topics = [name for name in FRAMES if frames and types.get(name) == TF]
     messages = bag.messages([*names, *([reference] if reference else []), *tf_topics])
     decoded = [decode_message(bag.path, i, raw) for i, raw in enumerate(messages)]
-    order = node_order([raw.topic for raw in messages], [_stamp(each) for each in decoded],
-                       operator)
+    if services is None:
+        order = node_order([raw.topic for raw in messages], [_stamp(each) for each in decoded],
+                           operator)
+    else:
+        order = Order(np.arange(len(messages)), np.searchsorted(
+            [raw.received for raw in messages], services.received).tolist(), services.notes)
     messages = [messages[i] for i in order.rows]
     decoded = [decoded[i] for i in order.rows]
     is_point = [raw.topic in names for raw in messages]

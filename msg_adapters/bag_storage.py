@@ -46,11 +46,12 @@ class Topic(NamedTuple):
 
 
 class Raw(NamedTuple):
-    """A serialized message (CDR)."""
+    """A serialized message (CDR), ``received`` at this time, ns."""
 
     topic: str
     msgtype: str
     data: bytes
+    received: int
 
 
 class BagFiles:
@@ -134,7 +135,7 @@ class BagFiles:
             self._add_note(failure.message)
             self.complete = False
         found.sort(key=lambda message: message.time)    # stable; a recorder may write in blocks
-        self._messages = [Raw(each.topic, each.msgtype, decompressed(each.data))
+        self._messages = [Raw(each.topic, each.msgtype, decompressed(each.data), each.time)
                           for each in found]
         return self._messages
 

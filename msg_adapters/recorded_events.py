@@ -17,20 +17,24 @@ from numpy.typing import NDArray
 
 from gsdf_registration.common.operator_event import TOPIC, OperatorEvent
 from gsdf_registration.common.result import InputError
+from msg_adapters.service_events import introspected_nodes
 
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
 
 
-def events_topic(types: dict[str, str], wanted: str | None) -> str:
+def events_source(types: dict[str, str], wanted: str | None) -> str:
     """
     Return the topic with the events of the node; empty if there is none.
+
+    Without such a topic, return the node whose services were recorded, see `service_events`.
 
     Parameters
     ----------
     types : dict of str to str
         Type of each topic.
     wanted : str, optional
-        The topic; empty: none. The default is the only topic that ends with /events.
+        The topic or the node; empty: none. The default is the only topic that ends with /events,
+        or else the only node.
 
     Raises
     ------
@@ -38,17 +42,19 @@ def events_topic(types: dict[str, str], wanted: str | None) -> str:
         If the topic is missing, or several could be meant.
 
     """
-    found = sorted(name for name, kind in types.items()
-                   if kind == STATUS and name.endswith(f'/{TOPIC}'))
+    topics = sorted(name for name, kind in types.items()
+                    if kind == STATUS and name.endswith(f'/{TOPIC}'))
+    nodes = introspected_nodes(types)
     if wanted is None:
+        found = topics or nodes
         if len(found) > 1:
             raise InputError(f'the recording holds the events of several nodes: '
-                             f'{", ".join(found)}; choose one with --events TOPIC, or none with '
+                             f'{", ".join(found)}; choose one with --events, or none with '
                              '--events none')
         return found[0] if found else ''
-    if wanted and types.get(wanted) != STATUS:
+    if wanted and types.get(wanted) != STATUS and wanted not in nodes:
         raise InputError(f'the recording has no events on {wanted}; it has '
-                         f'{", ".join(found) or "no events"}')
+                         f'{", ".join(topics + nodes) or "no events"}')
     return wanted
 
 

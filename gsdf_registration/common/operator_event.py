@@ -14,6 +14,8 @@ from typing import Any
 
 TOPIC = 'events'        # of the node, after its name
 LAST = 'last.'          # key of the last sample of a topic: its number and stamp
+UNKNOWN = -1            # number of points that is not recorded
+BUSY = 'another request is running; wait for its answer'    # answer to a request refused at once
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class OperatorEvent:
     performed : bool, whether the session carried it out: a request that was refused at once, or
         was cancelled, has changed nothing
     follow_up : str, after a stroke was dropped that the pose used: 'registered', 'refused' (and the
-        pose withdrawn) or 'withdrawn' (without a registration); else empty
-    kept : int, number of points in the session when the request came
+        pose withdrawn) or 'withdrawn' (without a registration); 'unknown': not recorded; else empty
+    kept : int, number of points in the session when the request came; or `UNKNOWN`
     last : dict, number and stamp (s) of the last message received on each topic of the tracker
         when the request came; the number counts from the start of the node
     """

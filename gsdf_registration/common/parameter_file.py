@@ -11,7 +11,8 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import flatten, shortened
 
 # Parameters of rclpy, launch and the node that are no setting
-NODE_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'autostart', 'qos_overrides')
+NODE_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'autostart', 'qos_overrides',
+                   'service_configure_introspection')
 NODE_NAME = 'registration'
 WILDCARDS = ('', '*', '**')
 SIMILAR = 0.8       # ratio of difflib above which an unknown name is a misspelt one

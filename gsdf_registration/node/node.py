@@ -22,6 +22,7 @@ from gsdf_registration.node.events import EventPublisher, Place
 from gsdf_registration.node.hints import Hint, Hints
 from gsdf_registration.node.initial_pose import InitialPoseInput
 from gsdf_registration.node.inputs import Inputs
+from gsdf_registration.node.introspection import Introspection
 from gsdf_registration.node.lifecycle import PreparedLifecycleNode, RCLError, transition
 from gsdf_registration.node.loading import load
 from gsdf_registration.node.model_reloader import ModelReloader
@@ -74,12 +75,14 @@ class RegistrationNode(PreparedLifecycleNode):
         self._tip = create_tip_publisher(self)
         self.events = EventPublisher(self)
         self._private_services = Services(self)
+        introspection = Introspection(self)
         self._initial_pose = InitialPoseInput(self)
         self._reloader = ModelReloader(self)
         self._hints = Hints(self, self.get_logger(), OFFERED)
         self.create_timer(1.0, self._tick, clock=STEADY)
         self._parameter_watch = ParameterWatch(self, lambda: self.session.config,
                                                self._why_fixed, self._configure)
+        introspection.watch()
 
     async def start(self) -> None:
         """Become active if ``autostart``; after a failure ``~/status`` says why."""

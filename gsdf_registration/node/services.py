@@ -14,6 +14,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_srvs.srv import SetBool, Trigger
 
 from gsdf_registration.common.formatting import format_length
+from gsdf_registration.common.operator_event import BUSY
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import Array, rms_displacement
 from gsdf_registration.common.withdrawal import Withdrawal
@@ -288,7 +289,7 @@ class Services:
 
     def _refuse_if_busy(self) -> None:
         if self._background.busy:
-            raise InputError('another request is running; wait for its answer')
+            raise InputError(BUSY)
 
     def shutdown(self, timeout: float) -> bool:
         """Start no more jobs; return whether the running one ended within ``timeout`` seconds."""

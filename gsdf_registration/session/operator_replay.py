@@ -3,20 +3,22 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from gsdf_registration.common.config import Config
+from gsdf_registration.common.config import Config, UnmatchedPlaces
 from gsdf_registration.common.landmarks import Landmarks
-from gsdf_registration.common.operator_event import OperatorEvent
+from gsdf_registration.common.operator_event import UNKNOWN, OperatorEvent
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.session.calibration import CalibrationKind
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.session import Session
+from gsdf_registration.tracking.pivot import FixedPoint
 
 # settings of files and topics, which a replay has from its own command line
 FOREIGN = ('model.path', 'model.unit', 'model.label', 'model.body', 'session.', 'probe.topics')
@@ -51,6 +53,8 @@ class OperatorReplay:
         Of the bone of the replay.
     settle : function
         Returns the settings to use in place of those of the node.
+    settings : dict
+        Of the node, by dotted name, before the first event.
     landmarks, T_tracker_bone : optional
         Of every registration, in place of those of the node.
 
@@ -64,14 +68,14 @@ class OperatorReplay:
     """
 
     def __init__(self, session: Session, clear: Callable[[], None], model_sha256: str,
-                 settle: Settle, landmarks: Landmarks | None = None,
-                 T_tracker_bone: Array | None = None) -> None:
+                 settle: Settle, settings: Mapping[str, Any],
+                 landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None) -> None:
         self.active = False
         self.notes: list[str] = []
         self._session, self._clear, self._sha256 = session, clear, model_sha256
         self._settle = settle
         self._landmarks, self._T = landmarks, T_tracker_bone
-        self._settings: dict[str, Any] = {}
+        self._settings = dict(settings)
         self._differs = False
 
     def apply(self, event: OperatorEvent) -> None:
@@ -105,7 +109,7 @@ class OperatorReplay:
             result = self._register(request.get('T_tracker_bone'))
             return Answer(result.success, f'{result.reason}: {result.message}')
         if name in [kind.value for kind in CalibrationKind]:
-            return session.calibrations.call(CalibrationKind(name))
+            return self._calibrate(event)
         if name == 'initial_pose':
             return session.set_initial_pose(np.array(request['T_tracker_bone']),
                                             request['frame_id'])
@@ -117,10 +121,12 @@ class OperatorReplay:
         session, request = self._session, event.request
         if event.name == 'parameters':
             self._settings |= request
-            session.configure(recorded_config(self._settings, self._settle))
+            # names and positions may have been set by one request after the other
+            with contextlib.suppress(UnmatchedPlaces):
+                session.configure(recorded_config(self._settings, self._settle))
         elif event.name in ('configure', 'activate', 'deactivate', 'model'):
             self._check_model(request.get('model_sha256'))
-            self._settings = dict(request['settings'])
+            self._settings = dict(request.get('settings', self._settings))
             if event.name == 'configure':       # a new session
                 self._clear()
                 session.clear()
@@ -140,16 +146,30 @@ class OperatorReplay:
             self._differ('this event is not known', event)
 
     def _drop(self, event: OperatorEvent) -> Answer:
-        session = self._session
+        session, before = self._session, self._session.status().outdated
         answer = session.undo() if event.name == 'undo' else session.drop_stroke(
             int(event.request['stroke']))
-        if event.follow_up in ('registered', 'refused'):
+        follow_up = event.follow_up
+        if follow_up == 'unknown' and session.status().outdated and not before:
+            follow_up = 'registered' if self._register(None).success else 'withdrawn'
+        elif follow_up in ('registered', 'refused'):
             found = self._register(None)
-            if found.success != (event.follow_up == 'registered'):
+            if found.success != (follow_up == 'registered'):
                 self._differ(f'the node answered "{event.message}", the replay "{found.message}"',
                              event)
-        if event.follow_up in ('refused', 'withdrawn'):
+        if follow_up in ('refused', 'withdrawn'):
             session.withdraw_pose(Withdrawal.POINTS_DROPPED, event.message)
+        return answer
+
+    def _calibrate(self, event: OperatorEvent) -> Answer:
+        """Start or end a calibration; the node sets the tip, which may not be recorded."""
+        session = self._session
+        answer = session.calibrations.call(CalibrationKind(event.name))
+        found = answer.detail
+        if event.follow_up == 'unknown' and isinstance(found, FixedPoint) and answer.success:
+            assert found.point is not None
+            self._settings['probe.tip'] = found.point.tolist()
+            session.configure(recorded_config(self._settings, self._settle))
         return answer
 
     def _register(self, T_tracker_bone: Any) -> RegistrationResult:
@@ -164,7 +184,7 @@ class OperatorReplay:
 
     def _compare_points(self, event: OperatorEvent) -> None:
         kept = self._session.kept
-        if kept != event.kept and event.name != 'configure':
+        if event.kept not in (kept, UNKNOWN) and event.name != 'configure':
             self._differ(f'the node had {event.kept} points, the replay has {kept}', event)
 
     def _differ(self, what: str, event: OperatorEvent) -> None:

@@ -25,6 +25,7 @@ from gsdf_registration.session import Session, restart_notice
 from gsdf_registration.session.operator_replay import OperatorReplay, Settle, recorded_config
 from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
+from msg_adapters.recorded_events import settings_of
 from msg_adapters.recording import Recording
 
 _log = logging.getLogger('gsdf_registration')
@@ -128,14 +129,14 @@ def _operated(recording: Recording, field: Field, settle: Settle,
               landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None
               ) -> tuple[Session, PointTransformer, OperatorReplay]:
     """Return a session with the settings of the recorded node, and what repeats its operator."""
-    events = [each.event for each in recording.events]
-    settings: dict[str, Any] = next((event.request['settings'] for event in events
-                                     if 'settings' in event.request), {})
+    settings = settings_of([each.event for each in recording.events])
+    if not settings:    # of service introspection: those given, until the operator changes them
+        settings, settle = settle(Config()).flat(), lambda config: config
     session = Session(recorded_config(settings, settle), field)
     session.collect(False)
     transformer = PointTransformer(session, Frames())
     return session, transformer, OperatorReplay(session, transformer.clear, field.bone_sha256,
-                                                settle, landmarks, T_tracker_bone)
+                                                settle, settings, landmarks, T_tracker_bone)
 
 
 def collected(recording: Recording, field: Field, config: Config | None = None) -> Session:

@@ -7,7 +7,7 @@ import pytest
 
 from gsdf_registration.common.operator_event import OperatorEvent
 from gsdf_registration.common.result import InputError
-from msg_adapters.recorded_events import decoded_events, events_topic, node_order
+from msg_adapters.recorded_events import decoded_events, events_source, node_order
 
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
 
@@ -45,12 +45,12 @@ def test_samples_that_are_missing_are_counted() -> None:
 
 def test_the_only_topic_with_events_is_found() -> None:
     types = {'/a/events': STATUS, '/a/status': STATUS, '/b/events': 'std_msgs/msg/String'}
-    assert events_topic(types, None) == '/a/events'
-    assert events_topic({}, None) == '' == events_topic(types, '')
+    assert events_source(types, None) == '/a/events'
+    assert events_source({}, None) == '' == events_source(types, '')
     with pytest.raises(InputError, match='no events on /x; it has /a/events'):
-        events_topic(types, '/x')
+        events_source(types, '/x')
     with pytest.raises(InputError, match='--events none'):
-        events_topic({**types, '/c/events': STATUS}, None)
+        events_source({**types, '/c/events': STATUS}, None)
 
 
 def test_a_message_that_is_no_event_is_refused() -> None:

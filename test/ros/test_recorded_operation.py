@@ -34,13 +34,15 @@ class RecorderProcess:
             [sys.executable, '-m', 'gsdf_registration.cli.main', 'record', *topics, '-o', str(bag)],
             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
-    def await_topic(self, topic: str) -> None:
-        """Wait until it receives a topic."""
+    def await_topics(self, *topics: str) -> None:
+        """Wait until it receives these topics."""
         assert self.process.stdout is not None
+        missing = set(topics)
         for line in self.process.stdout:
-            if line.startswith(f'recording {topic} '):
+            missing.discard(line.removeprefix('recording ').split(' ')[0])
+            if not missing:
                 return
-        pytest.fail(f'{topic} is not recorded')
+        pytest.fail(f'{", ".join(missing)}: not recorded')
 
     def end(self, number: int = signal.SIGINT) -> tuple[int, str, str]:
         """Stop it with a signal; return exit code and output."""
@@ -93,7 +95,7 @@ def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: 
                                              tmp_path: Path) -> None:
     client, name = tracker.client, shared_node.name
     running = recorder('/probe/tip', f'{name}/*')
-    running.await_topic('/probe/tip')
+    running.await_topics('/probe/tip')
     tracker.await_subscriptions(2)      # of the node and of the recorder
     tracker.touch_landmarks(STILL)
     client.collect(True)
@@ -147,12 +149,61 @@ def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: 
     assert alone['points']['used'] > found['used']      # without the undo
 
 
+def test_an_operation_is_replayed_from_service_events(
+        shared_node: NodeProcess, tracker: Tracker, parameters: dict[str, Any],
+        recorder: Callable[..., RecorderProcess], tmp_path: Path) -> None:
+    client, name = tracker.client, shared_node.name
+    wrong = client.set_parameters(Parameter('service_configure_introspection', value='on'))
+    assert wrong == ('service_configure_introspection must be one of disabled, metadata, contents, '
+                     'not "on"')
+    assert not client.set_parameters(Parameter('service_configure_introspection',
+                                               value='contents'))
+    running = recorder('/probe/tip', f'{name}/*/_service_event')
+    running.await_topics('/probe/tip', *(f'{name}/{service}/_service_event' for service in (
+        'clear', 'collect', 'capture_landmark', 'register', 'undo', 'set_parameters_atomically')))
+    tracker.await_subscriptions(2)
+    assert client.ask('clear').success
+    tracker.touch_landmarks(STILL)
+
+    def drag(rows: slice, kept: int) -> None:
+        client.collect(True)
+        tracker.send(tracker.positions[rows], tracker.steps[rows])
+        client.spin_until(lambda: int(client.status()['kept']) >= kept, 'points were lost')
+        client.collect(False)
+    drag(slice(250), 240)
+    assert not client.set_parameters(Parameter('gate.min_distance', value=0.001))
+    drag(slice(250, None), 400)
+    assert client.ask('register').success
+    client.collect(True)
+    assert client.ask('undo').success       # the pose used it: registered again
+    pose = client.receive(PoseWithCovarianceStamped, '~/bone_pose_with_covariance')
+    status = client.status(state='registered')
+    code, out, error = running.end()
+    assert code == 0, out + error
+    assert not client.set_parameters(Parameter('gate.min_distance', value=0.0),
+                                     Parameter('service_configure_introspection',
+                                               value='disabled'))
+    config = tmp_path / 'node.yaml'
+    config.write_text(json.dumps({'registration': {'ros__parameters': {
+        'collect.automatic': False, 'landmarks.names': parameters['landmarks.names'],
+        'landmarks.positions': json.loads(parameters['landmarks.positions'])}}}))
+    document = replayed(running.bag, tmp_path, '--config', str(config))
+    note, = document['recording']['notes']
+    assert note.startswith(f'what the operator did is read from the service events of {name}')
+    T = np.array(document['T_tracker_bone'])
+    again = ros.pose_with_covariance_msg(T, document['covariance'], pose.header.frame_id,
+                                         pose.header.stamp)
+    assert again == pose
+    assert str(document['points']['used']) == status['used']
+    assert document['rejected']['undone'] == int(status['rejected.undone']) > 0
+
+
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
 def test_a_recorder_that_is_ended_leaves_a_readable_bag(
         number: int, shared_node: NodeProcess, tracker: Tracker,
         recorder: Callable[..., RecorderProcess]) -> None:
     running = recorder('/probe/tip', '/nobody')
-    running.await_topic('/probe/tip')
+    running.await_topics('/probe/tip')
     tracker.await_subscriptions(2)      # of the node and of the recorder
     file = running.bag / f'{running.bag.name}.mcap'
     size = file.stat().st_size
