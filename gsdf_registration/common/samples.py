@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple, Protocol
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.tool_pose import ToolPose
+from gsdf_registration.common.tool_pose import ToolPose, is_valid, normalized, tip_position
 
 Position = tuple[float, float, float]
 
@@ -31,6 +32,14 @@ class Sample(NamedTuple):
     quality: float | None = None    # m, error estimate of the tracker
     stroke: int = 0                 # stroke number in a recording, 0 if there is none
     tool: ToolPose | None = None    # pose of the tool in `frame_id`; None: the tip was received
+
+
+def at_tip(sample: Sample, tip: Sequence[float]) -> Sample:
+    """Return a sample at the ``tip`` (3,), m, of its tool; unchanged without a valid pose of it."""
+    if sample.tool is None or not is_valid(sample.tool):
+        return sample
+    tool = normalized(sample.tool)
+    return sample._replace(position=tip_position(tool, tip), tool=tool)
 
 
 class Rejection(str, Enum):

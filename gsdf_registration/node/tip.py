@@ -10,7 +10,7 @@ from rclpy.qos import qos_profile_sensor_data
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import Rejection, Sample, SampleSink
+from gsdf_registration.common.samples import Rejection, Sample, SampleSink, at_tip
 from msg_adapters import ros
 
 
@@ -50,11 +50,12 @@ class TipPublisher:
         self._sink.add_reference_pose(stamp, T)
 
     def add(self, sample: Sample) -> Rejection | None:
-        """Pass a sample on, and publish it unless it is invalid."""
-        rejection = self._sink.add(sample)
+        """Pass a sample on, and publish the tip unless the sample is invalid."""
+        rejection, tip = self._sink.add(sample), self.config.probe.tip
         valid = rejection is None or not rejection.invalidates_sample
-        if valid and self._publisher.get_subscription_count():
-            self._publisher.publish(ros.point_msg(sample.position, sample.frame_id,
+        known = sample.tool is None or bool(tip)
+        if valid and known and self._publisher.get_subscription_count():
+            self._publisher.publish(ros.point_msg(at_tip(sample, tip).position, sample.frame_id,
                                                   ros.seconds_to_stamp(sample.stamp)))
         return rejection
 

@@ -15,14 +15,8 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.json_values import plain
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import Points, Rejection, Sample
-from gsdf_registration.common.tool_pose import (
-    TIP_UNKNOWN,
-    ToolPose,
-    is_valid,
-    normalized,
-    tip_position,
-)
+from gsdf_registration.common.samples import Points, Rejection, Sample, at_tip
+from gsdf_registration.common.tool_pose import TIP_UNKNOWN
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.registration.stroke_report import StrokeReport, interference_message
@@ -112,7 +106,7 @@ class SessionState:
             self._report('source', sample.topic)
         if sample.tool is not None:
             self.tools_received = True
-            sample = self._at_tip(sample, sample.tool)
+            sample = at_tip(sample, self.config.probe.tip)
         rejection = self.collection.add(sample, source, self.config)
         if rejection is None:
             self._report_frame()
@@ -125,13 +119,6 @@ class SessionState:
         if rejection is None or not rejection.invalidates_sample:
             self.tip.add(sample, source, self.config.landmarks)
         return rejection
-
-    def _at_tip(self, sample: Sample, tool: ToolPose) -> Sample:
-        """Return a sample with the position of the tip, if the pose of its tool is valid."""
-        if not is_valid(tool):
-            return sample
-        tool = normalized(tool)
-        return sample._replace(position=tip_position(tool, self.config.probe.tip), tool=tool)
 
     def count_rejected(self, counts: Mapping[str, int]) -> None:
         """Count samples that were rejected before they were added, by cause."""
