@@ -14,10 +14,7 @@ from importlib import import_module
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion, Vector3
 from numpy.typing import ArrayLike
-from std_msgs.msg import Header
 
 from gsdf_registration.common.result import (
     LandmarkFit,
@@ -28,6 +25,15 @@ from gsdf_registration.common.result import (
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.common.withdrawal import Withdrawal
 from msg_adapters import ros
+from msg_adapters.messages import (
+    Header,
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Time,
+    Vector3,
+)
 
 NAN = float('nan')
 OVER_THE_BONE = ('rms', 'max')  # entries of `RegistrationResult.predicted_tre_m` beside the targets

@@ -8,33 +8,35 @@ row-major in the order x y z rx ry rz about fixed axes (REP-103).
 
 from __future__ import annotations
 
-import array
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import (
+from numpy.typing import ArrayLike, NDArray
+
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import Array, quaternion_from_rotation
+from gsdf_registration.common.samples import Sample
+from msg_adapters import stamps
+from msg_adapters.messages import (
+    DiagnosticStatus,
+    Header,
+    KeyValue,
     Point,
+    PointCloud2,
+    PointField,
     PointStamped,
     Pose,
     PoseStamped,
     PoseWithCovariance,
     PoseWithCovarianceStamped,
     Quaternion,
+    Time,
     Transform,
     TransformStamped,
     Vector3,
+    octets,
 )
-from numpy.typing import ArrayLike, NDArray
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Header
-
-from gsdf_registration.common.result import InputError
-from gsdf_registration.common.rigid import Array, quaternion_from_rotation
-from gsdf_registration.common.samples import Sample
-from msg_adapters import stamps
 from msg_adapters.motion import to_matrix, tool_pose
 
 # Name and type of the fields of ~/points, four bytes each
@@ -144,8 +146,7 @@ def cloud_msg(positions: ArrayLike, residual: ArrayLike, weight: ArrayLike, stro
     return PointCloud2(
         header=Header(stamp=stamp, frame_id=frame_id), height=1, width=len(rows), fields=fields,
         is_bigendian=False, is_dense=False, point_step=rows.itemsize, row_step=rows.nbytes,
-        # rclpy accepts an array as it is, but checks bytes one by one
-        data=array.array('B', rows.tobytes()))
+        data=octets(rows.tobytes()))
 
 
 def cloud_to_arrays(message: PointCloud2) -> dict[str, NDArray[Any]]:
@@ -188,6 +189,13 @@ def diagnostic_status(name: str, level: bytes, message: str, values: Mapping[str
                             message=message,
                             hardware_id=hardware_id,
                             values=pairs)
+
+
+def with_stamp(status: DiagnosticStatus, stamp: Time) -> DiagnosticStatus:
+    """Return a copy with the value ``stamp``, seconds and nanoseconds: it has no header."""
+    value = KeyValue(key='stamp', value=f'{stamp.sec}.{stamp.nanosec:09d}')
+    return DiagnosticStatus(level=status.level, name=status.name, message=status.message,
+                            hardware_id=status.hardware_id, values=[value, *status.values])
 
 
 def _point(position: ArrayLike) -> Point:

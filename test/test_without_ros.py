@@ -23,8 +23,8 @@ class NoRos:
 sys.meta_path.insert(0, NoRos())
 """
 # The modules that import ROS
-WITH_ROS = ('gsdf_registration.node.', 'gsdf_registration.clients.', 'msg_adapters.results',
-            'msg_adapters.ros')
+WITH_ROS = ('gsdf_registration.node.', 'gsdf_registration.clients.',
+            'msg_adapters.ros_lost_messages')
 MODULES = {'gsdf_registration.registration.pipeline', 'gsdf_registration.session.replay',
            'gsdf_registration.live.worker', 'gsdf_registration.cli.main', 'msg_adapters.bag'}
 

@@ -18,7 +18,7 @@ from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.live import LivePose, LiveStatus
 from gsdf_registration.node.frame_watch import FrameWatch
 from gsdf_registration.node.qos import LATCHED, STEADY, UNWATCHED
-from gsdf_registration.node.status import status_message, with_stamp
+from gsdf_registration.node.status import status_message
 from gsdf_registration.session.status import Status
 from msg_adapters import ros
 
@@ -42,7 +42,7 @@ class StatusPublisher:
             self._node.get_logger().info(status.message)
         self._state = status.state
         changed, self._last = message != self._last, message
-        stamped = with_stamp(message, self._node.get_clock().now().to_msg())
+        stamped = ros.with_stamp(message, self._node.get_clock().now().to_msg())
         if changed:
             self._status.publish(stamped)
         return stamped

@@ -16,10 +16,10 @@ from gsdf_registration.node.qos import LATCHED, RESULT, UNWATCHED
 from gsdf_registration.session import Session
 from gsdf_registration.session.status import Status
 from msg_adapters import results, ros
+from msg_adapters.session_result import current_msg, header_of, registration_msg
 
 MISSING = ('gsdf_registration_msgs is not installed: ~/result, ~/guidance, ~/typed/* and '
            '~/drop_stroke are missing, all else works; build it from the repository')
-NOT_REGISTERED = 'the bone is not registered yet'
 DELIVERY = Duration(seconds=0.2)    # time for the last message of a node that is stopped
 
 
@@ -48,23 +48,14 @@ class ResultPublishers:
         if not self._publishers:
             return
         now = self._node.get_clock().now().to_msg()
-        if status.pose_result is not None:
-            message = _message(status.pose_result, status, _header(status, self._bone_frame, now))
-        elif status.withdrawn is None:
-            message = results.withdrawal_msg(Withdrawal.NOT_REGISTERED, NOT_REGISTERED,
-                                             _header(status, self._bone_frame, now))
-        else:
-            reason, sentence, session_id, number, frame_id = status.withdrawn
-            message = results.withdrawal_msg(reason, sentence, results.ResultHeader(
-                now, frame_id, self._bone_frame, session_id, number))
-        self._publishers[0].publish(message)
+        self._publishers[0].publish(current_msg(status, self._bone_frame, now))
 
     def withdraw(self, status: Status, reason: Withdrawal, sentence: str) -> None:
         """Publish that the pose is withdrawn, if there is one."""
         if self._publishers and status.pose_result is not None:
             now = self._node.get_clock().now().to_msg()
             self._publishers[0].publish(results.withdrawal_msg(
-                reason, sentence, _header(status, self._bone_frame, now)))
+                reason, sentence, header_of(status, self._bone_frame, now)))
 
     def guide(self, touches: Sequence[NextTouch] = (), sentence: str = '') -> None:
         """Publish where to touch next, if that has changed."""
@@ -86,10 +77,10 @@ class ResultPublishers:
 def attempt_message(result: RegistrationResult, session: Session, now: float) -> Any:
     """Return the message of one attempt at time ``now``, s, accepted or rejected."""
     status = session.status()
-    header = _header(status, session.config.bone_frame, ros.seconds_to_stamp(now))
+    header = header_of(status, session.config.bone_frame, ros.seconds_to_stamp(now))
     if not result.success:
         header = header._replace(registration_id=0, pose_stamp=0.0)
-    return _message(result, status, header)
+    return registration_msg(result, status, header)
 
 
 def pose_identity(status: Status) -> tuple[str, int]:
@@ -97,15 +88,3 @@ def pose_identity(status: Status) -> tuple[str, int]:
     if status.pose_result is None and status.withdrawn is not None:
         return status.withdrawn.session_id, status.withdrawn.registration_id
     return status.session_id, status.registration_id
-
-
-def _header(status: Status, bone_frame: str, stamp: Any) -> results.ResultHeader:
-    return results.ResultHeader(stamp, status.pose_frame_id or status.frame_id or '', bone_frame,
-                                status.session_id, status.registration_id, status.pose_stamp)
-
-
-def _message(result: RegistrationResult, status: Status, header: results.ResultHeader) -> Any:
-    accepted = result.success
-    return results.result_msg(result, header, rejected=status.rejected | result.left_out,
-                              strokes=status.stroke_reports if accepted else (),
-                              landmarks=status.captured)

@@ -56,6 +56,18 @@ def pose_kept(status: Status) -> str:
     return '' if status.pose_result is None else '; the accepted registration is kept'
 
 
+def shown_message(status: Status) -> str:
+    """Return the sentence of ``~/status``."""
+    return status.message + (pose_kept(status) if status.state == 'refused' else '')
+
+
+def level_name(status: Status) -> str:
+    """Return the level of ``~/status``: OK, WARN or ERROR."""
+    level = {'no_model': 'ERROR', 'refused': 'WARN'}.get(status.state, 'OK')
+    full = status.full and status.state in ('collecting', 'idle', 'ready')
+    return 'WARN' if level == 'OK' and (full or status.warning) else level
+
+
 def combined_status(status: Status, live: LiveState) -> Status:
     """Return the status of the session with that of the live registration: missing, or ready."""
     registered = status.pose_result is not None and not status.outdated

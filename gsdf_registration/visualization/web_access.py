@@ -23,6 +23,7 @@ import threading
 from collections.abc import Iterator
 from functools import partial
 from http.cookies import CookieError, SimpleCookie
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from gsdf_registration.common.result import InputError
@@ -63,12 +64,13 @@ def accept_only(origin: str | re.Pattern[str]) -> Iterator[None]:
     else press buttons, also under a name that it has redirected to 127.0.0.1 (DNS rebinding).
     """
     from websockets.asyncio import server
-    original = server.serve
-    server.serve = partial(original, origins=[origin])  # type: ignore[assignment,misc]
+    original: Any = server.serve
+    module: Any = server        # its function is replaced for as long as viser starts
+    module.serve = partial(original, origins=[origin])
     try:
         yield
     finally:
-        server.serve = original     # type: ignore[misc]
+        module.serve = original
 
 
 class Gate:

@@ -13,7 +13,7 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import LandmarkFit, Reason, RegistrationResult
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.live import LiveStatus
-from gsdf_registration.node.status import status_message, with_stamp
+from gsdf_registration.node.status import status_message
 from gsdf_registration.registration.stroke_report import StrokeReport
 from gsdf_registration.session import Session
 from gsdf_registration.session.pose_changes import WithdrawnPose
@@ -24,6 +24,7 @@ from gsdf_registration.session.status_values import (
     pose_kept,
     sentence,
 )
+from msg_adapters.ros import with_stamp
 
 READY = LiveStatus(ready=True, message='enough points: register now')
 FEW = LiveStatus(message='drag the probe', reason=Reason.TOO_FEW_POINTS)
