@@ -48,7 +48,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         *shared('bags', 'config', 'examples', 'launch'),
     ],
-    package_data={f'{NAME}.visualization': ['report*.html', 'report.css', 'report.js']},
+    package_data={f'{NAME}.visualization': ['*.html', '*.css', '*.js']},
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=[
@@ -96,6 +96,8 @@ setup(
             'lxml>=4.9',
             'networkx>=3',
         ],
+        # archives of recordings: Dask clusters, Parquet tables, the progress bar
+        'dask': ['distributed>=2024.1', 'pyarrow>=14', 'rich>=13'],
         'bench': ['fast-simplification', 'libigl>=2.5', 'open3d>=0.18', 'plotly>=5', 'rich',
                   'scikit-image', 'small_gicp>=1.0'],
         'test': [
@@ -112,6 +114,8 @@ setup(
             'lxml>=4.9',
             'networkx>=3',
             'pyigtl>=0.3',
+            'distributed>=2024.1',
+            'pyarrow>=14',
             'jsonschema>=4.18',
             'matplotlib>=3.7',
             'plotly>=5',

@@ -195,7 +195,7 @@ def show(operator: Operator, session: str, truth_file: Path, truth: Truth, repor
     session_report.write_report(
         report, record, session_report.settings_of(record), field, axes='lps',
         title=f'{truth.model} from {truth_file.stem}, over ROS 2',
-        about={'recording': truth_file.stem, 'true error': error,
+        about={'recording': truth_file.stem, 'true error': str(error),
                'recording SHA-256': sha256_of(str(truth_file.with_suffix('')))})
     log(f'report: {report}')
 

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +40,7 @@ def effective_config(args: argparse.Namespace, base: Config | None = None) -> Co
         changes['reference.topic'] = args.reference
     if getattr(args, 'tip_radius', None) is not None:
         changes['probe.tip_radius'] = args.tip_radius * METRES[args.unit]
-    return config.replaced(changes)
+    return config.replaced(changes | getattr(args, 'settings', {}))
 
 
 def field_or_refusal(config: Config) -> Field | Refusal:
@@ -53,15 +55,37 @@ def field_or_refusal(config: Config) -> Field | Refusal:
         When the model cannot be read.
 
     """
+    field = timed_field(config)[0]
+    return field if isinstance(field, Refusal) else field.for_tip(config.probe.tip_radius)
+
+
+def timed_field(config: Config) -> tuple[Field | Refusal, float]:
+    """
+    Return the field of the surface of the model, and the time it took to load, s.
+
+    A process loads the field of a file once, as long as the file does not change.  Errors as in
+    `field_or_refusal`.
+    """
+    from gsdf_registration.field.model import find_model
+    model, found = config.model, find_model(config.model.path).stat()
+    return _loaded(model.path, model.unit, model.voxel_size, model.label, model.body,
+                   (found.st_mtime_ns, found.st_size))
+
+
+@functools.lru_cache(maxsize=2)
+def _loaded(path: str, unit: str, voxel_size: float, label: str, body: str,
+            stamp: tuple[int, int]) -> tuple[Field | Refusal, float]:
+    """Load a field; ``stamp`` of the file tells its versions apart."""
     from gsdf_registration.field.model import load_model
+    started = time.perf_counter()
+    field: Field | Refusal
     try:
-        field = load_model(config.model.path, config.model.unit, config.model.voxel_size,
-                          config.model.label, config.model.body)
-        return field.for_tip(config.probe.tip_radius)
+        field = load_model(path, unit, voxel_size, label, body)
     except InputError as error:
         if error.reason is not Reason.WRONG_UNIT:
             raise
-        return error
+        field = error
+    return field, time.perf_counter() - started
 
 
 def prepare_kernels(config: Config) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from gsdf_registration.common.command_line import three_numbers
 
@@ -11,8 +12,8 @@ MODEL_HELP = ('bone model: a mesh (STL, PLY, OBJ, OFF, 3MF, GLB, VTK, VTP), a se
               'NRRD, DICOM SEG), a .gsdf field, or a point cloud with normals')
 
 
-def add_registration_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that `register` and `replay` have in common."""
+def add_registration_options(parser: argparse.ArgumentParser, archive: bool = False) -> None:
+    """Add the options of `register` and `replay`; ``archive``: see `add_report_options`."""
     add_start_options(parser)
     parser.add_argument('--tip', type=three_numbers, metavar='X,Y,Z',
                         help='position of the tip in the frame of the tool, in the unit of --unit, '
@@ -32,12 +33,13 @@ def add_registration_options(parser: argparse.ArgumentParser) -> None:
                         help='write the pose as a static transform (tf2_msgs/msg/TFMessage)')
     parser.add_argument('--crtk', metavar='OUT.yaml',
                         help='write the pose as CRTK publishes it (geometry_msgs/msg/PoseStamped)')
-    add_report_options(parser)
+    add_report_options(parser, archive)
 
 
-def add_report_options(parser: argparse.ArgumentParser) -> None:
-    """Add the report and the label of the case in it."""
-    parser.add_argument('--report', metavar='OUT.html',
+def add_report_options(parser: argparse.ArgumentParser, archive: bool = False) -> None:
+    """Add the report and the label of the case in it; ``archive``: its name may be left out."""
+    optional: dict[str, Any] = {'nargs': '?', 'const': ''} if archive else {}
+    parser.add_argument('--report', metavar='OUT.html', **optional,
                         help='write an HTML report: the result, its accuracy, pictures and a 3-D '
                         'view of the points on the bone (needs the extra "report")')
     parser.add_argument('--case', metavar='LABEL', default='',

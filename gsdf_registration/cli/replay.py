@@ -4,28 +4,24 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import signal
+import os
 import sys
-import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from contextlib import closing
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from gsdf_registration.cli import inputs, landmark_files, options, outputs, pose_outputs
+from gsdf_registration.cli import archive, archive_run, inputs, options, outputs, pose_outputs
+from gsdf_registration.cli.replay_bag import Outcome, replay_bag
 from gsdf_registration.common.command_line import example, positive_number
-from gsdf_registration.common.result import InputError, Refusal, RegistrationResult
+from gsdf_registration.common.result import InputError, Reason, RegistrationResult
 
-if TYPE_CHECKING:
-    from gsdf_registration.cli.pose_outputs import PoseOutputs
-    from gsdf_registration.common.config import Config
-    from gsdf_registration.common.landmarks import Landmarks
-    from gsdf_registration.common.rigid import Array
-    from gsdf_registration.field import Field
-    from gsdf_registration.session.operator_replay import Settle
+OF_ARCHIVE = ('scheduler', 'sweep', 'cases')    # options that need --output
+EXAMPLES = (
+    'gsdf replay bags/hip_optical --model bags/hip.ply --landmarks bags/hip_optical.yaml',
+    "gsdf replay 'archive/**/*.mcap' --model hip.stl --jobs 8 --report --output release_2",
+    'gsdf replay --cases cases.csv --sweep solver.method=mixture,paper --output methods',
+)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -36,12 +32,12 @@ def add_parser(subparsers: Any) -> None:
         'ROS, and register. If the recording has the events of the node (~/events), what the '
         'operator did is carried out again, with the settings of the node unless others are '
         'given. If a YAML file with the ground truth has the same name as the bag, '
-        'the true error is printed.',
-        **example('gsdf replay bags/hip_optical --model bags/hip.ply '
-                  '--landmarks bags/hip_optical.yaml'))
-    parser.add_argument('bags', metavar='BAG', nargs='+',
-                        help='rosbag2 directory, its .mcap or .db3 file, or a .bag of ROS 1')
-    parser.add_argument('--model', required=True, metavar='MODEL', help=options.MODEL_HELP)
+        'the true error is printed. With --output the results of an archive are a table and a '
+        'page, and a run that was stopped is continued.', **example(*EXAMPLES))
+    parser.add_argument('bags', metavar='BAG', nargs='*',
+                        help='rosbag2 directory, its .mcap or .db3 file, or a .bag of ROS 1; a '
+                        'folder of recordings; or a quoted pattern, ** for any folders')
+    parser.add_argument('--model', metavar='MODEL', help=options.MODEL_HELP)
     parser.add_argument('--unit', choices=('mm', 'm'), default='m',
                         help='unit of --tip, --tip-radius and the tracker columns of --landmarks '
                         '(default: m, as in bags)')
@@ -54,141 +50,101 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--events', metavar='T',
                         help='topic of what the operator did, or "none" to register all points '
                         '(default: the only topic that ends with /events)')
-    parser.add_argument('--jobs', type=positive_number, default=1, metavar='N',
+    parser.add_argument('--jobs', type=positive_number, metavar='N',
                         help='number of recordings processed in parallel (default: 1)')
-    options.add_registration_options(parser)
+    _add_archive_options(parser)
+    options.add_registration_options(parser, archive=True)
     parser.set_defaults(run=run)
 
 
-@dataclass(frozen=True)
-class Job:
-    """The arguments that all bags share."""
-
-    config: Config
-    settle: Settle              # the settings in place of those of a recorded node
-    topics: list[str] | None
-    events: str | None          # topic; empty: none; None: the only one
-    landmarks: Landmarks | None
-    T_tracker_bone: Array | None
-    field: Field | Refusal      # a refusal if the model is not as large as a bone
-    load_s: float               # time to load the model
-    report: str | None          # file of the HTML report
-    case: str                   # label of the case in it
-    axes: str                   # of the model, 'lps' or 'ras'
-    outputs: PoseOutputs        # files of the pose
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The result for one bag: exit code, JSON document and text to print."""
-
-    status: int
-    document: dict[str, Any]
-    text: str
+def _add_archive_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of an archive."""
+    parser.add_argument('-o', '--output', metavar='DIR',
+                        help='folder of the results of an archive: tables, a page, the JSON and, '
+                        'with --report, the report of each recording; recordings whose results '
+                        'are there are not registered again')
+    parser.add_argument('--scheduler', metavar='ADDRESS',
+                        help='register on a Dask cluster, as tcp://HOST:8786 (extra "dask"); its '
+                        'workers need the recordings and DIR under the same paths')
+    parser.add_argument('--cases', metavar='CSV',
+                        help='table of the recordings, with the columns bag and, in place of the '
+                        'options, model, landmarks, config, label')
+    parser.add_argument('--sweep', action='append', metavar='NAME=VALUE,...',
+                        help='register each recording with each of these values of a setting; may '
+                        'be repeated, for all combinations')
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay every bag; return the largest exit code."""
-    several = len(args.bags) > 1
-    if several and args.report:
-        raise InputError('--report describes one recording; give one BAG or leave out --report')
-    outputs.require_report(args.report)
-    pose_outputs.check_pose_outputs(args, several)
+    if args.output is not None:
+        pose_outputs.check_pose_outputs(args, several=True)
+        if args.json:
+            raise InputError('--json: with --output the results are in files of their own')
+        return archive_run.run(args)
+    needs = next((name for name in OF_ARCHIVE if getattr(args, name)), None)
+    if needs:
+        raise InputError(f'--{needs} needs --output DIR, the folder for the results')
+    if not args.bags or not args.model:
+        raise InputError('give the recordings and their bone: BAG... --model MODEL')
+    bags = archive.find_bags(args.bags)
+    _check_outputs(args, several=len(bags) > 1)
     config = inputs.effective_config(args)
     inputs.prepare_kernels(config)
-    axes = landmark_files.axes_of(args, config)
-    landmarks = landmark_files.read_landmark_files(args, config, args.unit)
-    T_tracker_bone = inputs.read_initial(args.initial)
-    started = time.perf_counter()
-    field = inputs.field_or_refusal(config)
-    if not isinstance(field, Refusal):
-        landmark_files.check_axes(landmarks, field, axes)
-    job = Job(config, partial(inputs.effective_config, args), args.topic,
-              '' if args.events == 'none' else args.events, landmarks, T_tracker_bone, field,
-              time.perf_counter() - started, args.report, args.case, axes.model,
-              pose_outputs.PoseOutputs.of(args, axes))
+    inputs.timed_field(config)      # an error of the model is no error of a recording
     outcomes = []
-    for bag, outcome in zip(args.bags, _outcomes(args.bags, job, args.jobs)):
-        failed = outcome.status == 2
-        if failed and not several:
-            raise InputError(outcome.text)
-        prefix = 'gsdf: error: ' if failed else f'{bag}: ' if several else ''
-        print(prefix + outcome.text, flush=True,
-              file=sys.stderr if failed or args.json == '-' else sys.stdout)
+    for bag, outcome in zip(bags, _outcomes(bags, args)):
+        _print(bag, outcome, args, several=len(bags) > 1)
         outcomes.append(outcome)
     documents = [outcome.document for outcome in outcomes]
-    outputs.write_json(args.json, documents if several else documents[0])
+    outputs.write_json(args.json, documents if len(bags) > 1 else documents[0])
     return max(outcome.status for outcome in outcomes)
 
 
-def _outcomes(bags: list[str], job: Job, jobs: int) -> Iterator[Outcome]:
-    replay_one = partial(replay_bag, job=job)
-    if jobs == 1 or len(bags) == 1:
-        yield from map(replay_one, bags)
-        return
-    # spawned, not forked: compiled kernels and their threads do not survive a fork
-    pool = ProcessPoolExecutor(min(jobs, len(bags)), multiprocessing.get_context('spawn'),
-                               initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
-    try:
-        yield from pool.map(replay_one, bags)
-    finally:
-        pool.shutdown(cancel_futures=True)
+def _check_outputs(args: argparse.Namespace, several: bool) -> None:
+    """Raise `InputError` if a file cannot be written as it is asked for."""
+    if args.report == '':
+        raise InputError('--report needs a name, OUT.html, or --output DIR for all reports')
+    if several and args.report:
+        raise InputError('--report describes one recording; give one BAG, or --output DIR for '
+                         'the reports of all')
+    outputs.require_report(args.report)
+    pose_outputs.check_pose_outputs(args, several)
 
 
-def replay_bag(bag: str, job: Job) -> Outcome:
-    """Replay one bag; unreadable input is an outcome, too."""
-    from gsdf_registration.cli.result_json import result_to_json
-    from gsdf_registration.cli.session_report import content_of, content_of_refusal
-    from gsdf_registration.cli.summary import summary, true_error
-    from gsdf_registration.common.formatting import format_count
-    from gsdf_registration.session.replay import replay_events
-    from msg_adapters.files import sha256_of
-    from msg_adapters.truth import read_truth, truth_path
-
-    started = time.perf_counter()
-    try:
-        recording = inputs.read_recording(bag, job.config, job.topics, job.events)
-        config = inputs.config_of(recording, job.config, job.settle)
-        truth = read_truth(truth_path(bag)) if truth_path(bag).is_file() else None
-    except InputError as error:
-        refused = RegistrationResult.refused(error.reason, error.message)
-        return Outcome(2, result_to_json(refused, job.config), error.message)
-    loaded = time.perf_counter()
-    frame_id, points, error_text = '', recording.positions, ''
-    notes = recording.notes
-    if isinstance(job.field, Refusal):
-        bone, result = None, RegistrationResult.refused(job.field.reason, job.field.message)
-    else:
-        bone = job.field.for_tip(config.probe.tip_radius)
-        replayed = replay_events(recording, bone, job.settle, job.landmarks, job.T_tracker_bone)
-        result, session, notes = replayed.result, replayed.session, (*notes, *replayed.notes)
-        points, frame_id = session.points().positions, session.status().frame_id or ''
-        if truth is not None and frame_id in ('', truth.frame_id):
-            error_text = true_error(result, bone, truth.T_tracker_bone)
-    for note in notes:
+def _print(bag: str, outcome: Outcome, args: argparse.Namespace, several: bool) -> None:
+    """Print an outcome and its notes; raise `InputError` if the only bag cannot be read."""
+    failed = outcome.status == 2
+    if failed and not several:
+        raise InputError(outcome.text)
+    for note in outcome.notes:
         print('note:', note if bag in note else f'{bag}: {note}', file=sys.stderr)
-    if notes:
-        remark = ('the recording is not complete' if not recording.complete
-                  else f'see the {format_count(len(notes), "note")} on the recording')
-        result = replace(result, message=f'{result.message}; {remark}')
-    document = result_to_json(
-        result, config, frame_id=frame_id, points_sha256=sha256_of(bag),
-        model_sha256=bone.bone_sha256 if bone else None,
-        recording={'complete': recording.complete, 'notes': notes},
-        load_s=job.load_s + loaded - started, total_s=job.load_s + time.perf_counter() - started)
-    job.outputs.write(result, config, frame_id, points, job.landmarks)
-    if job.report is not None:
-        remarks = {f'note {number}': note for number, note in enumerate(notes, 1)}
-        about = outputs.about_inputs(config.model.path, bag, document)
-        complete = 'complete' if recording.complete else 'NOT complete'
-        common: dict[str, Any] = {
-            'title': f'{Path(config.model.path).name} from {Path(bag).name}',
-            'case': job.case, 'axes': job.axes,
-            'about': {**about, 'recording': complete, **remarks,
-                      'true error': error_text or 'not known'}}
-        outputs.write_report(job.report, content_of_refusal(result, config, points, **common)
-                             if bone is None else content_of(
-                                 session, result, config, bone, landmarks=job.landmarks,
-                                 **common))
-    rows = [('true error', error_text)] if error_text else []
-    return Outcome(0 if result.success else 1, document, summary(result, frame_id, rows))
+    prefix = 'gsdf: error: ' if failed else f'{bag}: ' if several else ''
+    print(prefix + outcome.text, flush=True,
+          file=sys.stderr if failed or args.json == '-' else sys.stdout)
+
+
+def _outcomes(bags: list[str], args: argparse.Namespace) -> Iterator[Outcome]:
+    """Yield the outcome of each bag, in their order."""
+    workers = min(args.jobs or 1, len(bags))
+    if workers == 1:
+        yield from (replay_bag(bag, args) for bag in bags)
+        return
+    from gsdf_registration.common.process_pool import Died, run_processes
+    own = argparse.Namespace(**{name: value for name, value in vars(args).items()
+                                if name != 'run'})
+    work = partial(replay_bag, args=own, threads=max((os.cpu_count() or 1) // workers, 1))
+    waiting, following = dict[int, Outcome](), 0
+    with closing(run_processes(work, bags, workers)) as answers:
+        for number, answer in answers:
+            waiting[number] = (_died(bags[number], args) if isinstance(answer, Died) else answer)
+            while following in waiting:
+                yield waiting.pop(following)
+                following += 1
+
+
+def _died(bag: str, args: argparse.Namespace) -> Outcome:
+    """Return the outcome of a bag whose process died."""
+    from gsdf_registration.cli.result_json import result_to_json
+    message = f'{bag}: {archive_run.DIED}'
+    refused = RegistrationResult.refused(Reason.BAD_INPUT, message)
+    return Outcome(2, result_to_json(refused, inputs.effective_config(args)), message)

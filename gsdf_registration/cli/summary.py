@@ -8,12 +8,13 @@ The residual is not shown, because it is no measure of the accuracy (Fitzpatrick
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.result import RegistrationResult
-from gsdf_registration.common.rigid import Array, angle_between, displacement
+from gsdf_registration.common.rigid import Array, angle_between, displacement, rms
 from gsdf_registration.field import Field
 
 Row = tuple[str, str]       # name, value
@@ -54,9 +55,27 @@ def counts_by_cause(rejected: Mapping[str, int]) -> str:
                      for cause, count in rejected.items() if count)
 
 
-def true_error(result: RegistrationResult, field: Field, truth: Array) -> str:
+class TrueError(NamedTuple):
     """
-    Return the error of the pose as text: TRE over the surface of the bone, and rotation.
+    How far a pose is from the true one.
+
+    rms_m, max_m : float, m, TRE over the surface of the bone
+    rotation : float, rad
+    """
+
+    rms_m: float
+    max_m: float
+    rotation: float
+
+    def __str__(self) -> str:
+        """Return the error as text."""
+        return (f'TRE over the bone {1e3 * self.rms_m:.2f} mm RMS, {1e3 * self.max_m:.2f} mm '
+                f'maximum; rotation {np.degrees(self.rotation):.2f} deg')
+
+
+def true_error(result: RegistrationResult, field: Field, truth: Array) -> TrueError | None:
+    """
+    Return the error of the pose; None without a pose.
 
     Parameters
     ----------
@@ -66,13 +85,9 @@ def true_error(result: RegistrationResult, field: Field, truth: Array) -> str:
     """
     T = result.T_tracker_bone
     if T is None:
-        return 'none, there is no pose'
-    points = field.surface_points.astype(np.float64)
-    tre = 1e3 * displacement(T, truth, points)
-    angle = np.degrees(angle_between(T[:3, :3], truth[:3, :3]))
-    rms = np.sqrt(np.mean(tre**2))
-    return (f'TRE over the bone {rms:.2f} mm RMS, {tre.max():.2f} mm maximum; '
-            f'rotation {angle:.2f} deg')
+        return None
+    tre = displacement(T, truth, field.surface_points.astype(np.float64))
+    return TrueError(rms(tre), float(tre.max()), float(angle_between(T[:3, :3], truth[:3, :3])))
 
 
 def _table(title: str, rows: Sequence[Row]) -> str:

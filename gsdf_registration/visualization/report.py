@@ -54,8 +54,8 @@ def write_report(path: str | os.PathLike[str], content: ReportContent) -> None:
 
 def page(title: str, body: str) -> str:
     """Return an HTML page in the style of the reports."""
-    return Template(_text('report_page.html')).substitute(
-        title=html.escape(title), style=_text('report.css'), body=body)
+    return Template(asset('report_page.html')).substitute(
+        title=html.escape(title), style=asset('report.css'), body=body)
 
 
 def tables(sections: dict[str, Rows]) -> str:
@@ -73,13 +73,13 @@ def _page(content: ReportContent) -> str:
     note = (ACCURACY_NOTE if result.success
             else NO_CANDIDATE_NOTE if content.pose is None else REFUSED_NOTE)
     drawn = json.dumps(scene(content), allow_nan=False, separators=(',', ':'))
-    return page(content.title, Template(_text('report.html')).substitute(
+    return page(content.title, Template(asset('report.html')).substitute(
         title=html.escape(content.title), outcome=html.escape(outcome),
         kind='good' if result.success else 'bad', message=html.escape(result.message),
         facts=report_head.facts(content), gauges=report_head.gauge_bars(content),
         advice=report_head.advice(content), note=note, pictures=pictures(content),
         scales=_scales(content), scene=drawn.replace('<', '\\u003c'), plots=_plots(content),
-        tables=tables(sections(content)), script=_text('report.js')))
+        tables=tables(sections(content)), script=asset('report.js')))
 
 
 def _scales(content: ReportContent) -> str:
@@ -108,5 +108,6 @@ def _plots(content: ReportContent) -> str:
                    '</section>' for heading, (plot, note) in parts.items() if plot)
 
 
-def _text(name: str) -> str:
+def asset(name: str) -> str:
+    """Return a file of this package: a style, a script or a template."""
     return files(__package__).joinpath(name).read_text(encoding='utf-8')

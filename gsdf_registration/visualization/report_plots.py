@@ -46,7 +46,7 @@ def residual_plot(content: ReportContent) -> str:
         colour = _hex(colours.on_scale(np.array((number + 0.5) / BINS), colours.RESIDUAL, 1.0))
         rows.append(_dots(x, y, inlier[known] & (shade == number), colour))
     rows.append(_dots(x, y, ~inlier[known], colours.UNUSED))
-    return _svg(HEIGHT, rows, 'residuals in the order of the points')
+    return svg(HEIGHT, rows, 'residuals in the order of the points')
 
 
 def time_line(content: ReportContent) -> str:
@@ -72,7 +72,7 @@ def time_line(content: ReportContent) -> str:
         anchor = 'start' if share == 0.0 else 'end' if share == 1.0 else 'middle'
         rows.append(f'<text x="{place(start + share * span):.1f}" y="94" text-anchor="{anchor}">'
                     f'{share * span:.0f} s</text>')
-    return _svg(100, rows, 'when the points were collected')
+    return svg(100, rows, 'when the points were collected')
 
 
 def _strokes(content: ReportContent) -> Iterator[tuple[str, float, float]]:
@@ -109,6 +109,7 @@ def _hex(colour: Array) -> str:
     return f'#{red:02x}{green:02x}{blue:02x}'
 
 
-def _svg(height: int, rows: Sequence[str], label: str) -> str:
+def svg(height: int, rows: Sequence[str], label: str) -> str:
+    """Return a plot as wide as the page, with an accessible name."""
     return (f'<svg class="plot" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{label}">'
             f'{"".join(rows)}</svg>')
