@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gsdf_registration.common.result import InputError
@@ -38,13 +41,28 @@ def cached_field(bone: Bone, voxel_size: float = 0.001) -> Field:
 
     """
     path = cache_directory() / f'{bone.sha256[:32]}-{voxel_size * 1e6:.0f}um-v{VERSION}.gsdf'
-    if path.exists():
-        try:
-            field = load_field(path)
-            if field.bone_sha256 == bone.sha256 and field.voxel_size == voxel_size:
-                return field
-        except InputError as error:
-            _log.warning('%s', error.message)
+    found = _read(path, bone, voxel_size, logging.DEBUG)
+    if found is not None:
+        return found
+    with _only_builder(path):
+        return (_read(path, bone, voxel_size, logging.WARNING)
+                or _built(path, bone, voxel_size))
+
+
+def _read(path: Path, bone: Bone, voxel_size: float, level: int) -> Field | None:
+    """Return the field of a file; None if there is none, or if it is damaged, which is logged."""
+    if not path.exists():
+        return None
+    try:
+        field = load_field(path)
+    except InputError as error:
+        _log.log(level, '%s', error.message)
+        return None
+    return field if field.bone_sha256 == bone.sha256 and field.voxel_size == voxel_size else None
+
+
+def _built(path: Path, bone: Bone, voxel_size: float) -> Field:
+    """Build a field and write it to the cache."""
     field = build_field(bone, voxel_size)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -52,3 +70,20 @@ def cached_field(bone: Bone, voxel_size: float = 0.001) -> Field:
     except (OSError, InputError) as error:
         _log.warning('the field could not be cached: %s', error)
     return field
+
+
+@contextmanager
+def _only_builder(path: Path) -> Iterator[None]:
+    """Wait while another process builds the same field; nobody waits on a disk without locks."""
+    lock, handle = path.with_suffix('.lock'), -1
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o666)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if handle >= 0:
+            with suppress(OSError):     # those who wait hold the file, and find the field
+                lock.unlink()
+            os.close(handle)

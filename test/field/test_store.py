@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import struct
+import threading
 import zlib
 
 import numba
@@ -142,6 +143,23 @@ def test_cache_rebuilds_a_damaged_file(bone, builds, damage, caplog):
     assert_same(cached_field(bone, 0.002), cached_field(bone, 0.002))
     assert builds == [0.002, 0.002]
     assert len(caplog.records) == 1
+
+
+def test_processes_that_need_the_same_field_build_it_once(bone, builds, monkeypatch):
+    waiting = threading.Thread(target=cached_field, args=(bone, 0.002))
+
+    def build_while_another_waits(*args):
+        if not waiting.ident:
+            waiting.start()
+            waiting.join(0.2)       # it would build, too, if it did not wait
+        return build_field(*args)
+    build_field = cache.build_field
+    monkeypatch.setattr(cache, 'build_field', build_while_another_waits)
+    cached_field(bone, 0.002)
+    waiting.join()
+    assert builds == [0.002]
+    file, = cache.cache_directory().iterdir()
+    assert file.suffix == '.gsdf'
 
 
 def test_a_pipe_in_the_cache_is_replaced(bone, builds, caplog):
