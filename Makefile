@@ -20,7 +20,7 @@ demo: $(VENV)/.installed-ros,messages,report $(VENV)/.shared
 test: $(VENV)/.installed-ros,messages,test $(VENV)/.shared
 	$(BIN)/python tools/build_messages.py
 	$(BIN)/gsdf warm-up
-	$(BIN)/pytest -n auto --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-ros,messages,test
 	$(BIN)/ruff check

@@ -41,6 +41,11 @@ NEEDS = {
     'visualization/test_timeline.py': 'viser',
     'visualization/test_picture.py': 'matplotlib', 'visualization/test_report.py': 'PIL'}
 
+# They take longest, so they start first: else one of them runs on at the end, while other
+# workers have nothing left to do.
+LONGEST = ('ros/test_console_in_browser.py', 'test_colcon_messages.py', 'ros/test_pose_lifetime.py',
+           'ros/test_signals.py', 'tracking/test_pivot.py', 'ros/test_parameters.py')
+
 
 class SkippedModule(pytest.File):
     """A test module that is not imported, because a package is not installed."""
@@ -70,6 +75,12 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
             skipped.package = package
             return skipped
     return None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the modules that take longest."""
+    first = [Path(__file__).parent / name for name in LONGEST]
+    items.sort(key=lambda item: first.index(item.path) if item.path in first else len(first))
 
 
 @pytest.fixture(scope='session')
