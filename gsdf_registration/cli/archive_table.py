@@ -189,3 +189,20 @@ def has_pyarrow() -> bool:
     from importlib.util import find_spec
     return find_spec('pyarrow') is not None
 
+
+def read_settings(folder: Path) -> dict[str, dict[str, Any]]:
+    """
+    Return the settings of a run, by their hash.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or damaged.
+
+    """
+    from msg_adapters.files import read_text
+    path = folder / SETTINGS
+    try:
+        return {key: dict(each['config']) for key, each in json.loads(read_text(path)).items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f'{path} is damaged; run gsdf replay --output again') from None

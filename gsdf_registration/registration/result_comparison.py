@@ -66,13 +66,15 @@ def compare(a: Mapping[str, Any], b: Mapping[str, Any]) -> Comparison:
         names, places = _places(a['config'], b['config'])
         moved = dict(zip(names, displacement(poses[0], poses[1], places).tolist()))
     tre = [each['predicted_tre_m'] for each in (a, b)]
-    settings = [each['config'] for each in (a, b)]
     return Comparison(
         tuple(remarks), (a['reason'], b['reason']), rotation, moved,
         {name: (tre[0].get(name), tre[1].get(name)) for name in {**tre[0], **tre[1]}},
-        {name: (settings[0].get(name), settings[1].get(name))
-         for name in {**settings[0], **settings[1]}
-         if settings[0].get(name) != settings[1].get(name)})
+        changed_settings(a['config'], b['config']))
+
+
+def changed_settings(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the settings of two registrations that differ, by dotted name."""
+    return {name: (a.get(name), b.get(name)) for name in {**a, **b} if a.get(name) != b.get(name)}
 
 
 def _places(*settings: Mapping[str, Any]) -> tuple[list[str], Array]:
