@@ -121,11 +121,13 @@ def node_order(topics: Sequence[str], stamps: Sequence[float],
         for topic, (count, stamp) in event.last.items():
             rows, first = rows_of[topic], seen[topic]
             after = _place(np.array([stamps[i] for i in rows[first:]]), stamp,
-                           count - counted.get(topic, count))
+                           count - counted.get(topic, 0))
+            epoch[rows[first:first + after]] = number
             if topic in counted:
                 lost += abs(count - counted[topic] - after)
+            else:       # the others came before the node was started
+                epoch[rows[:max(after - count, 0)]] = 0
             counted[topic], seen[topic] = count, first + after
-            epoch[rows[first:first + after]] = number
     # a message of another topic comes after those recorded before it
     other = np.array([topic not in named for topic in topics], dtype=bool)
     latest = np.maximum.accumulate(np.where(other, -1, epoch)) if n else epoch

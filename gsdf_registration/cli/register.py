@@ -109,18 +109,22 @@ def register_recording(
 
     if recording.stamps is None:
         if recording.tools is not None and not config.probe.tip:
-            return (RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN),
-                    untimed(recording.positions))
+            refusal = RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN, len(recording))
+            return _counted(refusal, recording.dropped), untimed(recording.positions)
         positions, bad = recording.tip_positions(config.probe.tip)
         finite = np.isfinite(positions).all(axis=1)
         points = positions[finite]
         result = register(points, field, config, landmarks=landmarks, T_tracker_bone=T_tracker_bone)
         rejected = {str(Rejection.NOT_FINITE): int((~finite).sum()) - bad,
                     str(Rejection.BAD_QUATERNION): bad, **recording.dropped}
-        result = dataclasses.replace(result, received=len(points) + sum(rejected.values()),
-                                     rejected=rejected)
-        return result, untimed(points)
+        return _counted(result, rejected), untimed(points)
     # files of points do not name a frame
     recording.frame_ids = [config.probe.frame_id] * len(recording)
     result, session = replay(recording, field, config, landmarks, T_tracker_bone)
     return result, session.points()
+
+
+def _counted(result: RegistrationResult, rejected: dict[str, int]) -> RegistrationResult:
+    """Return a result that also counts samples which were rejected before it."""
+    return dataclasses.replace(result, received=result.received + sum(rejected.values()),
+                               rejected=rejected)

@@ -80,9 +80,11 @@ class Recorder:
             self._flushed = now
             self._bag.flush()
         rclpy.spin_once(self._node, timeout_sec=timeout)
+        self._take_waiting()
 
     def finish(self) -> None:
-        """Count what was lost, and stop receiving."""
+        """Write what was received until now, count what was lost, and stop receiving."""
+        self._take_waiting()
         for topic, (subscription, lost) in self._subscriptions.items():
             self.lost[topic] = lost.take()
             lost.destroy()
@@ -118,6 +120,23 @@ class Recorder:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
         self._subscriptions[name] = subscription, LostMessages(subscription)
         self._unmatched[name] = kind
+
+    def _take_waiting(self) -> None:
+        """
+        Write the messages that wait in the queues, up to those received now.
+
+        rclpy serves one message per turn, which is too slow for a busy computer; see also
+        `node.inputs`.
+        """
+        now = time.time_ns()
+        for topic, (subscription, _) in self._subscriptions.items():
+            while True:
+                waiting = subscription.handle.take_message(subscription.msg_type, True)
+                if waiting is None:
+                    break
+                self._on_message(topic, *waiting)
+                if waiting[1]['received_timestamp'] > now:
+                    break
 
     def _on_message(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
         # the middleware's time: topics keep their order although messages wait in their queues

@@ -8,6 +8,8 @@ be replayed with what the operator did, see `msg_adapters.service_events`.
 
 from __future__ import annotations
 
+from typing import Any
+
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -64,8 +66,8 @@ class Introspection:
 
     def _apply(self, state: str) -> None:
         for service in self._node.services:
-            package = service.srv_type.__module__.partition('.')[0]
-            if package in PACKAGES or service.srv_type.__name__ in SETTERS:
+            kind: Any = service.srv_type
+            if kind.__module__.partition('.')[0] in PACKAGES or kind.__name__ in SETTERS:
                 service.configure_introspection(self._node.get_clock(), QOS, STATES[state])
 
 

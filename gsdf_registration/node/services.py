@@ -174,7 +174,8 @@ class Services:
             if found.success:
                 return Answer(True, f'{dropped.message}; registered again without it: '
                               f'{self._moved_since(before)}; {found.message}', 'registered')
-            attempted = 'refused'
+            if session.status().result is found:    # else it was cancelled
+                attempted = 'refused'
             why = f'a registration without it is refused: {found.reason}: {found.message}'
         session.withdraw_pose(Withdrawal.POINTS_DROPPED,
                               f'a stroke that the pose used was dropped; {why}')

@@ -60,8 +60,8 @@ class OperatorReplay:
 
     Attributes
     ----------
-    active : bool
-        Whether the node used the samples that it received.
+    receiving, active : bool
+        Whether the node received the poses of the reference array, and used samples.
     notes : list of str
         Sentences on what differs from the node.
 
@@ -70,7 +70,7 @@ class OperatorReplay:
     def __init__(self, session: Session, clear: Callable[[], None], model_sha256: str,
                  settle: Settle, settings: Mapping[str, Any],
                  landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None) -> None:
-        self.active = False
+        self.receiving = self.active = False
         self.notes: list[str] = []
         self._session, self._clear, self._sha256 = session, clear, model_sha256
         self._settle = settle
@@ -125,6 +125,7 @@ class OperatorReplay:
             with contextlib.suppress(UnmatchedPlaces):
                 session.configure(recorded_config(self._settings, self._settle))
         elif event.name in ('configure', 'activate', 'deactivate', 'model'):
+            self.receiving = True
             self._check_model(request.get('model_sha256'))
             self._settings = dict(request.get('settings', self._settings))
             if event.name == 'configure':       # a new session

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.landmarks import Landmarks
 from gsdf_registration.common.result import InputError, RegistrationResult
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import Sample
+from gsdf_registration.common.samples import Sample, SampleSink
 from gsdf_registration.field import Field
 from gsdf_registration.session import Session, restart_notice
 from gsdf_registration.session.operator_replay import OperatorReplay, Settle, recorded_config
@@ -27,6 +27,8 @@ from gsdf_registration.tracking.frames import Frames
 from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters.recorded_events import settings_of
 from msg_adapters.recording import Recording
+
+STARTS = ('configure', 'activate')      # events with which a node starts
 
 _log = logging.getLogger('gsdf_registration')
 
@@ -84,7 +86,8 @@ def replay(recording: Recording, field: Field, config: Config | None = None,
 
 def replay_events(recording: Recording, field: Field, settle: Settle,
                   landmarks: Landmarks | None = None,
-                  T_tracker_bone: Array | None = None) -> Replayed:
+                  T_tracker_bone: Array | None = None,
+                  watch: Callable[[Session], SampleSink] | None = None) -> Replayed:
     """
     Replay a recording with what the operator did, if that is recorded; else as `replay`.
 
@@ -94,12 +97,15 @@ def replay_events(recording: Recording, field: Field, settle: Settle,
         As in `replay`; landmarks and start pose are used in place of those of the node.
     settle : function
         Returns the settings to use in place of those of the node, or of the defaults.
+    watch : function, optional
+        Returns a sink that receives the samples in place of the session and passes them on.
 
     """
     if not recording.events:
-        session, remarks = _collected(recording, field, settle(Config()))
+        session, remarks = _collected(recording, field, settle(Config()), watch)
         return Replayed(session.register(landmarks, T_tracker_bone), session, remarks)
-    session, transformer, operator = _operated(recording, field, settle, landmarks, T_tracker_bone)
+    session, transformer, operator = _operated(recording, field, settle, landmarks, T_tracker_bone,
+                                               watch)
     restarts = _restarts(session)
     notes = _play(recording, transformer, operator)
     session.count_rejected(recording.dropped)
@@ -126,7 +132,8 @@ def begin(recording: Recording, field: Field, settle: Settle) -> tuple[Session, 
 
 
 def _operated(recording: Recording, field: Field, settle: Settle,
-              landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None
+              landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None,
+              watch: Callable[[Session], SampleSink] | None = None
               ) -> tuple[Session, PointTransformer, OperatorReplay]:
     """Return a session with the settings of the recorded node, and what repeats its operator."""
     settings = settings_of([each.event for each in recording.events])
@@ -134,9 +141,12 @@ def _operated(recording: Recording, field: Field, settle: Settle,
         settings, settle = settle(Config()).flat(), lambda config: config
     session = Session(recorded_config(settings, settle), field)
     session.collect(False)
-    transformer = PointTransformer(session, Frames())
-    return session, transformer, OperatorReplay(session, transformer.clear, field.bone_sha256,
-                                                settle, settings, landmarks, T_tracker_bone)
+    transformer = PointTransformer(watch(session) if watch else session, Frames())
+    operator = OperatorReplay(session, transformer.clear, field.bone_sha256, settle, settings,
+                              landmarks, T_tracker_bone)
+    # the first events may be missing
+    operator.receiving = operator.active = recording.events[0].event.name not in STARTS
+    return session, transformer, operator
 
 
 def collected(recording: Recording, field: Field, config: Config | None = None) -> Session:
@@ -144,13 +154,15 @@ def collected(recording: Recording, field: Field, config: Config | None = None) 
     return _collected(recording, field, config or Config())[0]
 
 
-def _collected(recording: Recording, field: Field,
-               config: Config) -> tuple[Session, tuple[str, ...]]:
+def _collected(recording: Recording, field: Field, config: Config,
+               watch: Callable[[Session], SampleSink] | None = None
+               ) -> tuple[Session, tuple[str, ...]]:
     """Return a session with the points of a recording, and what was noticed."""
     session = Session(config, field)
     session.collect(True)
     restarts = _restarts(session)
-    notes = _play(recording, PointTransformer(session, Frames()), None)
+    sink = watch(session) if watch else session
+    notes = _play(recording, PointTransformer(sink, Frames()), None)
     session.count_rejected(recording.dropped)
     return session, (*restarts, *notes)
 
@@ -203,7 +215,7 @@ def _steps(recording: Recording, transformer: PointTransformer,
                 if pending.child:
                     transformer.add_transform(pending.parent, pending.child, pending.stamp,
                                               pending.T_parent_child, pending.fixed)
-                else:
+                elif operator is None or operator.receiving:
                     transformer.add_pose(pending.stamp, pending.T_parent_child, pending.parent)
             else:
                 break

@@ -263,11 +263,12 @@ class Session:
             if field is None:
                 return RegistrationResult.refused(
                     Reason.NO_MODEL, 'no bone model is loaded; set model.path')
-            if state.tip_missing:
-                return RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN)
             points, serials = state.collection.points(), state.collection.serials()
             received, frame_id = state.collection.received, state.collection.frame_id or ''
             rejected = dict(state.collection.counts)
+            if state.tip_missing:
+                refusal = RegistrationResult.refused(Reason.BAD_INPUT, TIP_UNKNOWN, len(serials))
+                return dataclasses.replace(refusal, received=received, rejected=rejected)
             if landmarks is None:
                 landmarks = state.landmarks.usable
             if T_tracker_bone is None:

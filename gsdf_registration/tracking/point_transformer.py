@@ -33,6 +33,7 @@ class _Source:
     pose: float = math.nan      # stamp of the last array pose that arrived after it
     offset: float = 0.0         # s between stamps of samples and poses that arrive together
     problem: str = ''
+    used: bool = False          # whether any sample was passed on
 
 
 class PointTransformer:
@@ -113,8 +114,11 @@ class PointTransformer:
         for sample in self._clocks.flush():
             self._reject(sample, Rejection.NOT_MONOTONIC)
         for source in self._sources.values():
+            problem = source.problem
             while source.waiting:
                 self._reject_untransformed(source, source.waiting.popleft())
+            if source.used:     # the last samples only wait for a pose that comes no more
+                source.problem = problem
 
     def local_clock_went_back(self, before: float, now: float) -> None:
         """Restart the session unless the stamps of the samples have gone back already."""
@@ -171,7 +175,7 @@ class PointTransformer:
             x, y, z = transform(T, sample.position).tolist()
             tool = None if sample.tool is None else moved(T, sample.tool)
             sample = sample._replace(position=(x, y, z), frame_id=config.points_frame, tool=tool)
-        source.problem = ''
+        source.problem, source.used = '', True
         self._sink.add(sample)
         return True
 

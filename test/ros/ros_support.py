@@ -145,8 +145,8 @@ class Tracker:
     def await_subscriptions(self, number: int, topic: str = '/probe/tip') -> None:
         """Wait until so many subscriptions are connected to a topic."""
         publisher = self._publishers[topic]
-        self.client.spin_until(lambda: publisher.get_subscription_count() >= number,
-                               f'{topic} has less than {number} subscriptions')
+        self.client.spin_until(lambda: publisher.get_subscription_count() == number,
+                               f'{topic} has not {number} subscriptions')
 
     def send(self,
              positions: np.ndarray,

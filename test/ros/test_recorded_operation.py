@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from rclpy.parameter import Parameter
 from ros_support import ROOT, NodeProcess, Tracker, tracked
 from rosbags.rosbag2 import Reader
 
+from gsdf_registration.common.result import InputError
 from msg_adapters import ros
 from msg_adapters.bag import list_topics, read_bag
 
@@ -67,8 +69,9 @@ def shared_tracker(shared_node: NodeProcess) -> Iterator[Tracker]:
 
 
 @pytest.fixture
-def recorder(tmp_path: Path) -> Iterator[Callable[..., RecorderProcess]]:
+def recorder(tmp_path: Path, tracker: Tracker) -> Iterator[Callable[..., RecorderProcess]]:
     running: list[RecorderProcess] = []
+    tracker.await_subscriptions(1)      # the recorder of another test is gone
 
     def start(*topics: str) -> RecorderProcess:
         running.append(RecorderProcess(tmp_path / f'bag{len(running)}', *topics))
@@ -145,8 +148,6 @@ def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: 
     assert int(status['received']) == int(status['kept']) + sum(
         int(count) for key, count in status.items() if key.startswith('rejected.'))
     assert f'{found["received"]} received, {found["used"]} used' in document['out']
-    alone = replayed(running.bag, tmp_path, '--events', 'none')
-    assert alone['points']['used'] > found['used']      # without the undo
 
 
 def test_an_operation_is_replayed_from_service_events(
@@ -205,18 +206,17 @@ def test_a_recorder_that_is_ended_leaves_a_readable_bag(
     running = recorder('/probe/tip', '/nobody')
     running.await_topics('/probe/tip')
     tracker.await_subscriptions(2)      # of the node and of the recorder
-    file = running.bag / f'{running.bag.name}.mcap'
-    size = file.stat().st_size
     tracker.send(tracker.positions[:100])
 
     def written() -> bool:
         tracker.send(tracker.positions[:1])
-        return file.stat().st_size > size
+        with contextlib.suppress(InputError):       # nothing yet
+            return len(read_bag(running.bag)) >= 100
+        return False
     tracker.client.spin_until(written, 'nothing is written to the disk')
     code, _, error = running.end(number)
     points = read_bag(running.bag)
-    assert len(points) >= 50
-    np.testing.assert_array_equal(points.positions[:50], tracker.positions[:50])
+    np.testing.assert_array_equal(points.positions[:100], tracker.positions[:100])
     if number == signal.SIGKILL:
         assert not points.complete and any('killed' in note for note in points.notes)
         return
