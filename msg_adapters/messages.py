@@ -9,9 +9,12 @@ fields. So one function makes a message for a topic and for a recording.
 from __future__ import annotations
 
 import array
+from functools import cache
 from typing import Any
 
 import numpy as np
+
+from msg_adapters.ros_definitions import definition_of
 
 try:
     from builtin_interfaces.msg import Time
@@ -48,7 +51,7 @@ except ImportError:
 __all__ = ['DiagnosticArray', 'DiagnosticStatus', 'Header', 'KeyValue', 'Point', 'PointCloud2',
            'PointField', 'PointStamped', 'Pose', 'PoseStamped', 'PoseWithCovariance',
            'PoseWithCovarianceStamped', 'Quaternion', 'Time', 'Transform', 'TransformStamped',
-           'Vector3', 'octets', 'serialized', 'tf_message', 'type_of']
+           'Vector3', 'definition', 'octets', 'serialized', 'tf_message', 'type_of']
 
 
 def octets(data: bytes) -> Any:
@@ -70,10 +73,30 @@ def type_of(message: Any) -> str:
     return getattr(kind, '__msgtype__', f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}')
 
 
+def definition(msgtype: str) -> str:
+    """Return the text of the definition of a type; empty for a standard one, which is known."""
+    from msg_adapters.bag import TYPES
+    return '' if msgtype in TYPES.types else definition_of(msgtype)
+
+
 def serialized(message: Any) -> bytes:
-    """Return a message in CDR."""
-    if hasattr(message, '__msgtype__'):
-        from msg_adapters.bag import TYPES
-        return bytes(TYPES.serialize_cdr(message, message.__msgtype__))
-    from rclpy.serialization import serialize_message
-    return bytes(serialize_message(message))
+    """Return a message in CDR; equal messages give equal bytes."""
+    kind = type_of(message)
+    store = _store(kind)
+    if not hasattr(message, '__msgtype__'):     # of ROS, which leaves the padding undefined
+        from rclpy.serialization import serialize_message
+        message = store.deserialize_cdr(serialize_message(message), kind)
+    return bytes(store.serialize_cdr(message, kind))
+
+
+@cache
+def _store(msgtype: str) -> Any:
+    """Return what serializes the messages of a type."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    from msg_adapters.bag import TYPES
+    if msgtype in TYPES.types:
+        return TYPES
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition_of(msgtype), msgtype))
+    return store

@@ -52,6 +52,9 @@ def add_parser(subparsers: Any) -> None:
                         '(default: the only topic that ends with /events)')
     parser.add_argument('--jobs', type=positive_number, metavar='N',
                         help='number of recordings processed in parallel (default: 1)')
+    parser.add_argument('--mcap', metavar='OUT',
+                        help='also record what the node would publish (rosbag2, mcap), to be '
+                        'opened in Foxglove, rerun or RViz')
     _add_archive_options(parser)
     options.add_registration_options(parser, archive=True)
     parser.set_defaults(run=run)
@@ -78,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
     """Replay every bag; return the largest exit code."""
     if args.output is not None:
         pose_outputs.check_pose_outputs(args, several=True)
+        _check_recorded(args, several=True)
         if args.json:
             raise InputError('--json: with --output the results are in files of their own')
         return archive_run.run(args)
@@ -109,6 +113,15 @@ def _check_outputs(args: argparse.Namespace, several: bool) -> None:
                          'the reports of all')
     outputs.require_report(args.report)
     pose_outputs.check_pose_outputs(args, several)
+    _check_recorded(args, several)
+
+
+def _check_recorded(args: argparse.Namespace, several: bool) -> None:
+    """Raise `InputError` if the topics of the node cannot be recorded as it is asked for."""
+    if args.mcap and several:
+        raise InputError('--mcap records one session; give one BAG, without --output')
+    if args.mcap and os.path.exists(args.mcap):
+        raise InputError(f'--mcap: {args.mcap} exists already; remove it or choose another path')
 
 
 def _print(bag: str, outcome: Outcome, args: argparse.Namespace, several: bool) -> None:

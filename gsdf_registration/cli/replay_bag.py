@@ -105,7 +105,7 @@ def replay_bag(bag: str, args: argparse.Namespace, threads: int = 0) -> Outcome:
         refused = RegistrationResult.refused(error.reason, error.message)
         return Outcome(2, result_to_json(refused, config), error.message)
     opened = time.perf_counter()
-    found = _register(given, threads)
+    found = _register(given, threads, args.mcap)
     result, bone, places = found.result, found.bone, _places(found, given.config)
     true = required_error = None
     error_text = ''
@@ -148,7 +148,8 @@ def _read_inputs(bag: str, args: argparse.Namespace, config: Config) -> _Inputs:
                    T_tracker_bone, axes, field, truth, load_s, started)
 
 
-def _register(given: _Inputs, threads: int) -> _Registered:
+def _register(given: _Inputs, threads: int, mcap: str | None) -> _Registered:
+    from gsdf_registration.cli.session_bag import recorded
     from gsdf_registration.common.formatting import format_count
     from gsdf_registration.session.replay import replay_events
 
@@ -162,8 +163,9 @@ def _register(given: _Inputs, threads: int) -> _Registered:
         found = _Registered(refused, notes, '', given.recording.positions)
     else:
         bone = given.field.for_tip(given.config.probe.tip_radius)
-        replayed = replay_events(given.recording, bone, settle, given.landmarks,
-                                 given.T_tracker_bone)
+        with recorded(mcap, given.recording, bone) as watch:
+            replayed = replay_events(given.recording, bone, settle, given.landmarks,
+                                     given.T_tracker_bone, watch)
         session = replayed.session
         found = _Registered(replayed.result, (*notes, *replayed.notes),
                             session.status().frame_id or '', session.points().positions, bone,
