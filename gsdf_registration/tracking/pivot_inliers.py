@@ -54,8 +54,8 @@ def consensus(poses: Poses, tolerance: float) -> NDArray[np.bool_]:
     centres = np.vstack([centres, poses.solution()[1]])
 
     scored = poses[np.unique(np.linspace(0, n - 1, min(n, SCORED)).astype(int))]
-    costs = [np.minimum(((scored.places(x) - c) ** 2).sum(axis=1), tolerance**2).sum()
-             for x, c in zip(points, centres)]
+    offsets = np.einsum('nij,kj->nik', scored.R, points) + scored.p[..., None] - centres.T
+    costs = np.minimum((offsets**2).sum(axis=1), tolerance**2).sum(axis=0)
     best, best_cost = np.zeros(n, dtype=bool), np.inf
     for k in np.argsort(costs, kind='stable')[:5]:
         agreeing, cost = _refined(poses, points[k], centres[k], tolerance)
@@ -160,12 +160,20 @@ def _largest_step(poses: Poses, fewest: int) -> tuple[int, float, float]:
     sums = np.cumsum(poses.R, axis=0), np.cumsum(poses.p, axis=0)
     turned = np.einsum('nij,ni->j', poses.R, poses.p)
 
+    squares = float((poses.p**2).sum())
+
     def square(i: int) -> float:
-        return float((_two_places(poses, i, sums, turned)[1] ** 2).sum())
+        """Return the sum of the squared residuals; rotations keep the length of the point."""
+        point, c1, c2 = _two_places(n, i, sums, turned)
+        return float(n * point @ point + 2.0 * point @ turned + squares - i * c1 @ c1
+                     - (n - i) * c2 @ c2)
     row = min(rows.tolist(), key=square)
     row = min(range(max(row - spacing, fewest), min(row + spacing, last) + 1), key=square)
-    step, residuals = _two_places(poses, row, sums, turned)
-    return row, step, _standard_error(residuals, row)
+    point, c1, c2 = _two_places(n, row, sums, turned)
+    residuals = poses.places(point)
+    residuals[:row] -= c1
+    residuals[row:] -= c2
+    return row, float(np.linalg.norm(c2 - c1)), _standard_error(residuals, row)
 
 
 def _standard_error(residuals: Array, i: int) -> float:
@@ -182,20 +190,15 @@ def _standard_error(residuals: Array, i: int) -> float:
     return float(error)
 
 
-def _two_places(poses: Poses, i: int, sums: tuple[Array, Array],
-                turned: Array) -> tuple[float, Array]:
-    """Return the distance of two places, before row ``i`` and from it on, and the residuals, m."""
-    n = len(poses)
+def _two_places(n: int, i: int, sums: tuple[Array, Array],
+                turned: Array) -> tuple[Array, Array, Array]:
+    """Return the point, its place before row ``i`` of ``n``, and its place from it on, (3,), m."""
     R1, p1 = (each[i - 1] / i for each in sums)
     R2, p2 = ((each[-1] - each[i - 1]) / (n - i) for each in sums)
     M = n * np.eye(3) - i * R1.T @ R1 - (n - i) * R2.T @ R2
     rhs = i * R1.T @ p1 + (n - i) * R2.T @ p2 - turned
     point = np.linalg.lstsq(M, rhs, rcond=1e-9)[0]
-    c1, c2 = R1 @ point + p1, R2 @ point + p2
-    residuals = poses.places(point)
-    residuals[:i] -= c1
-    residuals[i:] -= c2
-    return float(np.linalg.norm(c2 - c1)), residuals
+    return point, R1 @ point + p1, R2 @ point + p2
 
 
 def without_outliers(poses: Poses, part: NDArray[np.bool_], task: Task) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ class Poses:
 
     def places(self, point: Array) -> Array:
         """Return where ``point`` (3,), body frame, was at each pose (n, 3), tracker frame."""
-        return np.asarray(self.R @ point + self.p)
+        return np.asarray(np.einsum('nij,j->ni', self.R, point) + self.p)
 
     def solution(self, turn_noise: float = 0.0) -> tuple[Array, Array]:
         """
