@@ -29,6 +29,11 @@ class FrameResolver:
         self._rejected_poses = 0
         self._pose_problem = ''     # why the last array pose was rejected
 
+    @property
+    def pose_rejected(self) -> bool:
+        """Whether the last pose of the array was rejected."""
+        return bool(self._pose_problem)
+
     def add_pose(self, stamp: float, T: Array, frame_id: str, config: Config) -> None:
         """Add a pose ``T`` (4, 4), m, of the reference array in ``frame_id``."""
         expected = self._tracker_frame(config) or frame_id

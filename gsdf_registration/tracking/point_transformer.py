@@ -117,8 +117,8 @@ class PointTransformer:
             problem = source.problem
             while source.waiting:
                 self._reject_untransformed(source, source.waiting.popleft())
-            if source.used:     # the last samples only wait for a pose that comes no more
-                source.problem = problem
+            if source.used and not self._resolver.pose_rejected:
+                source.problem = problem        # the last samples wait for a pose after the end
 
     def local_clock_went_back(self, before: float, now: float) -> None:
         """Restart the session unless the stamps of the samples have gone back already."""

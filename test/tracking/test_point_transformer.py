@@ -225,6 +225,17 @@ def test_rejects_and_reports_invalid_poses() -> None:
     assert 'Rejected array poses: 2; the last is not a rigid motion' in transformer.problem
 
 
+def test_samples_that_wait_at_the_end_are_counted_but_no_problem() -> None:
+    transformer, sink = make_transformer()
+    for stamp in (1.0, 1.1):
+        transformer.add_pose(stamp, SWAY.pose(stamp), 'camera')
+    transformer.add_point(tip(1.05, PLACE))
+    transformer.add_point(tip(1.15, PLACE))
+    transformer.finish()
+    assert len(sink.added) == 1 and [cause for _, cause in sink.rejected] == ['no_reference']
+    assert not transformer.problem
+
+
 def test_combines_tf_frames_with_the_array_pose() -> None:
     frames = Frames()
     transformer, sink = make_transformer(frames)
