@@ -29,6 +29,13 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 CHUNK = 1 << 20     # bytes
+# Quality of service of a latched topic, as rosbag2 writes it since Jazzy: with it, a player offers
+# late subscribers the last message
+FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+LATCHED: list[dict[str, Any]] = [{
+    'history': 'keep_last', 'depth': 1, 'reliability': 'reliable', 'durability': 'transient_local',
+    'deadline': FOREVER, 'lifespan': FOREVER, 'liveliness': 'automatic',
+    'liveliness_lease_duration': FOREVER, 'avoid_ros_namespace_conventions': False}]
 
 
 class BagWriter:
@@ -62,6 +69,7 @@ class BagWriter:
         self._keep = keep
         self._compression = CompressionType.ZSTD if compressed else CompressionType.NONE
         self._types: dict[str, str] = {}        # of each topic
+        self._quality: dict[str, list[dict[str, Any]]] = {}     # of service, likewise
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._first, self._last = 0, 0          # times of reception, ns
@@ -87,24 +95,31 @@ class BagWriter:
         self._writer.finish()
         self._file.close()
         (self.path / 'metadata.yaml').write_text(
-            yaml.safe_dump({'rosbag2_bagfile_information': self._metadata()}, sort_keys=False),
-            encoding='utf-8')
+            _yaml({'rosbag2_bagfile_information': self._metadata()}), encoding='utf-8')
 
     def flush(self) -> None:
         """Write all messages so far to the disk: they stay whatever happens to the program."""
         self._writer.flush()
         os.fsync(self._file.fileno())
 
-    def add_topic(self, topic: str, msgtype: str, definition: str = '') -> None:
-        """Announce a topic; ``definition``: of its type, if that is no standard message."""
+    def add_topic(self, topic: str, msgtype: str, definition: str = '',
+                  latched: bool = False) -> None:
+        """
+        Announce a topic.
+
+        ``definition`` : of its type, if that is no standard message
+        ``latched`` : whether late subscribers receive the last message
+        """
         if not definition:
             definition = TYPES.generate_msgdef(msgtype, ros_version=2)[0]
         if msgtype not in self._schemas:
             self._schemas[msgtype] = self._writer.register_schema(
                 msgtype, 'ros2msg', definition.encode())
         self._types[topic], self.counts[topic] = msgtype, 0
+        self._quality[topic] = LATCHED if latched else []
         self._channels[topic] = self._writer.register_channel(
-            topic, 'cdr', self._schemas[msgtype], {'offered_qos_profiles': ''})
+            topic, 'cdr', self._schemas[msgtype],
+            {'offered_qos_profiles': _yaml(LATCHED) if latched else ''})
 
     def write(self, topic: str, received: int, data: bytes) -> None:
         """Append a serialized message (CDR) of an announced topic, ``received`` at this ns."""
@@ -173,13 +188,24 @@ class BagWriter:
             'starting_time': start, 'message_count': total,
             'topics_with_message_count': [
                 {'topic_metadata': {'name': topic, 'type': kind, 'serialization_format': 'cdr',
-                                    'offered_qos_profiles': [], 'type_description_hash': ''},
+                                    'offered_qos_profiles': self._quality[topic],
+                                    'type_description_hash': ''},
                  'message_count': self.counts[topic]} for topic, kind in self._types.items()],
             'compression_format': '', 'compression_mode': '', 'relative_file_paths': [file],
-            # copies: YAML would refer to the same object by an anchor
-            'files': [{'path': file, 'starting_time': dict(start), 'duration': dict(duration),
+            'files': [{'path': file, 'starting_time': start, 'duration': duration,
                        'message_count': total}],
             'custom_data': None, 'ros_distro': 'gsdf_registration'}
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes an object that occurs twice twice, as rosbag2 expects, and not as an alias."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _yaml(document: Any) -> str:
+    return str(yaml.dump(document, Dumper=_Plain, sort_keys=False))
 
 
 def _header(nanoseconds: int, frame_id: str) -> Any:

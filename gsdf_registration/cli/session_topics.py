@@ -35,6 +35,9 @@ from msg_adapters.session_result import current_msg
 
 NODE = '/registration'
 MARKERS = 'visualization_msgs/msg/MarkerArray'
+LATCHED = {'/tf_static', *(f'{NODE}/{name}' for name in (
+    'bone_pose', 'bone_pose_with_covariance', 'result', 'guidance', 'status', 'events', 'points',
+    'markers'))}
 
 
 class SessionTopics:
@@ -177,10 +180,7 @@ class SessionTopics:
         self._write_cloud(contacts, residuals, weights, points.strokes)
 
     def _write_markers(self, shown: Sequence[Marker]) -> None:
-        topic = f'{NODE}/markers'
-        if topic not in self._bag.counts:
-            self._bag.add_topic(topic, MARKERS)
-        self._bag.write(topic, self._time, to_bytes(shown, self._frame))
+        self._write_bytes(f'{NODE}/markers', MARKERS, to_bytes(shown, self._frame))
 
     def _write_cloud(self, contacts: Array, residuals: Array, weights: Array,
                      strokes: NDArray[Any]) -> None:
@@ -189,14 +189,12 @@ class SessionTopics:
         self._has_cloud = len(contacts) > 0
 
     def _write(self, topic: str, message: Any) -> None:
-        kind = messages.type_of(message)
-        if topic not in self._bag.counts:
-            self._bag.add_topic(topic, kind, messages.definition(kind))
-        self._bag.write(topic, self._time, messages.serialized(message))
+        self._write_bytes(topic, messages.type_of(message), messages.serialized(message))
 
-    @property
-    def _time(self) -> int:
-        return stamps.to_nanoseconds(self.now)
+    def _write_bytes(self, topic: str, kind: str, data: bytes) -> None:
+        if topic not in self._bag.counts:
+            self._bag.add_topic(topic, kind, messages.definition(kind), topic in LATCHED)
+        self._bag.write(topic, stamps.to_nanoseconds(self.now), data)
 
     @property
     def _stamp(self) -> Any:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections import defaultdict
 from collections.abc import Iterator
@@ -12,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
@@ -29,6 +32,7 @@ from msg_adapters.marker_cdr import Shape, from_bytes
 from msg_adapters.motion import to_matrix
 from msg_adapters.recording import RecordedEvent, Recording
 
+PAGE = Path(__file__).parents[2] / 'docs/interface.md'
 START, RATE = 1.7e9, 100.0      # s, Hz, of the samples
 # number of points before each call
 COLLECT, REGISTER, CLEAR, END = 0, 250, 330, 340
@@ -99,6 +103,19 @@ def test_every_topic_of_the_node_is_there_with_a_complete_schema(
                    for time, tip in tips]) < 1e-6
     assert [values(event)['event'] for _, event in decoded['/registration/events']] == [
         'configure', 'activate', 'collect', 'register', 'clear']
+
+
+def test_a_player_offers_what_the_node_offers(bag: Path) -> None:
+    with AnyReader([bag]) as reader:        # from metadata.yaml
+        latched = {each.topic for each in reader.connections if any(
+            qos.durability is QosDurability.TRANSIENT_LOCAL
+            for qos in each.ext.offered_qos_profiles)}
+    rows = re.findall(r'^\| pub \| `(\S+)` \| \S+ \| latched', PAGE.read_text(), re.MULTILINE)
+    assert latched == {name.replace('~', '/registration') for name in rows} - (
+        set() if results.available() else TYPED)
+    for _, channel, _ in messages_of(bag):
+        assert ('transient_local' in channel.metadata['offered_qos_profiles']) is (
+            channel.topic in latched)
 
 
 def test_the_pose_is_there_from_the_registration_until_it_is_withdrawn(
