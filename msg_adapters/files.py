@@ -7,12 +7,13 @@ import codecs
 import contextlib
 import datetime
 import hashlib
+import json
 import os
 import stat
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import shortened
@@ -113,6 +114,16 @@ def read_text(path: str | os.PathLike[str], legacy: str = '') -> str:
     except OSError as error:
         raise InputError(f'{path} cannot be read: {_cause(error)}') from None
     return text.replace('\r\n', '\n').replace('\r', '\n')
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """Return the content of a JSON file; raise `InputError` if it is not valid JSON."""
+    try:
+        return json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError(f'{path}, line {error.lineno}: this is not valid JSON') from None
+    except (ValueError, RecursionError):   # a number of too many digits; nested too deeply
+        raise InputError(f'{path}: this is not valid JSON') from None
 
 
 def _decoded(content: bytes, encodings: Sequence[str]) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import MAX_COORDINATE, Array
-from msg_adapters.files import read_text, write_atomically
+from msg_adapters.files import read_json, read_text, write_atomically
 from msg_adapters.segmentation import is_segmentation
 from msg_adapters.table import read_table
 from msg_adapters.vtk_mesh import vtk_axes
@@ -162,14 +162,11 @@ def _kind(path: str | os.PathLike[str]) -> str | None:
 
 def _read_markups(path: str | os.PathLike[str], axes: str) -> list[PointList]:
     try:
-        document = json.loads(read_text(path))
-        markups = document['markups']
+        markups = read_json(path)['markups']
         if not isinstance(markups, list):
             raise TypeError
         return [_point_list(path, markup, axes) for markup in markups]
-    except json.JSONDecodeError as error:
-        raise InputError(f'{path}, line {error.lineno}: this is not valid JSON') from None
-    except (KeyError, TypeError, AttributeError, RecursionError):
+    except (KeyError, TypeError, AttributeError):
         raise InputError(f'{path} has no markups: it needs "markups" with "controlPoints", as '
                          'Slicer writes it') from None
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -99,21 +98,11 @@ def _settings(first: str, second: str,
 def read_result(path: str) -> dict[str, Any]:
     """Return the JSON document of a result; `InputError` if the file is none."""
     from gsdf_registration.cli.result_json import SCHEMA
-    document = _json(path)
+    from msg_adapters.files import read_json
+    document = read_json(path)
     if isinstance(document, list):
         raise InputError(f'{path} has the results of several recordings; give a file of one')
     if not isinstance(document, dict) or document.get('schema') != SCHEMA or not all(
             name in document for name in NEEDED):
         raise InputError(f'{path} is no result of the schema {SCHEMA}; write one with --json')
     return document
-
-
-def _json(path: str) -> Any:
-    """Return the content of a JSON file; raise `InputError` if it is none."""
-    from msg_adapters.files import read_text
-    try:
-        return json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise InputError(f'{path}, line {error.lineno}: this is not valid JSON') from None
-    except RecursionError:
-        raise InputError(f'{path}: this is not valid JSON') from None

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import json
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -145,12 +144,10 @@ def read_initial(path: str | None) -> Array | None:
     import numpy as np
 
     from gsdf_registration.common.rigid import is_rigid, orthonormalized
-    from msg_adapters.files import read_text
+    from msg_adapters.files import read_json
     try:
-        T = np.array(json.loads(read_text(path))['T_tracker_bone'], dtype=np.float64)
-    except json.JSONDecodeError as error:
-        raise InputError(f'{path}, line {error.lineno}: this is not valid JSON') from None
-    except (KeyError, TypeError, ValueError, RecursionError):
+        T = np.array(read_json(path)['T_tracker_bone'], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
         raise InputError(
             f'{path} contains no pose; give {{"T_tracker_bone": [4 rows of 4 numbers]}}') from None
     if not is_rigid(T, tolerance=1e-3):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import threading
@@ -72,11 +71,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    from msg_adapters.files import read_text
-    try:
-        document = json.loads(read_text(str(path)))
-    except json.JSONDecodeError as error:
-        raise InputError(f'{path}, line {error.lineno}: this is not valid JSON') from None
+    from msg_adapters.files import read_json
+    document = read_json(path)
     if not isinstance(document, dict):
         raise InputError(f'{path} is neither a saved session nor a result')
     return document

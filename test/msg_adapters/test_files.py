@@ -13,6 +13,7 @@ from msg_adapters.files import (
     absolute_path,
     irregular,
     open_file,
+    read_json,
     read_text,
     readable_file,
     write_atomically,
@@ -114,3 +115,14 @@ def test_calls_back_before_it_replaces_the_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='^no$'):
         write_atomically(path, 'newer', before=refuse)
     assert path.read_text() == 'new' and os.listdir(tmp_path) == ['file']
+
+
+@pytest.mark.parametrize('text, complaint', [
+    ('{\n"a": ', ', line 2: this is not valid JSON'),
+    ('[' * 100_000, ': this is not valid JSON'), ('9' * 5000, ': this is not valid JSON')])
+def test_invalid_json_is_one_sentence(tmp_path: Path, text: str, complaint: str) -> None:
+    path = tmp_path / 'a.json'
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_json(path)
+    assert error.value.message == f'{path}{complaint}'
