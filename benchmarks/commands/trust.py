@@ -41,8 +41,9 @@ def add_parser(subparsers: Any) -> None:
         'are of a wrong bone, an object or noise, or if it is more than 5 mm off where the bone '
         'was touched (mean). Its error is understated if a required place is off by more than '
         'twice its stated 95 % error + 0.5 mm. A problem is well-posed if the right bone is '
-        'touched in one of the usual regions and 1.5 times the Cramer-Rao bound of the error is '
-        'within limits.max_error where limits.require demands it.',
+        'touched in one of the usual regions and 1.5 times the Cramer-Rao bound of the error, with '
+        'the deviation of an inexact model as correlated noise, is within limits.max_error where '
+        'limits.require demands it.',
         **example('python -m benchmarks trust --bones ~/bones --trials 3000 -o trust.tsv'))
     add_bones_option(parser)
     parser.add_argument('--regions', metavar='NAME,...', default='',

@@ -13,6 +13,7 @@ from gsdf_registration.field import Field
 from gsdf_registration.simulation.interference import Kind
 from gsdf_registration.simulation.patch import Patch, exposed_patch, whole_surface
 from gsdf_registration.simulation.probe import SimulatedRecording, Tracker, measure
+from gsdf_registration.simulation.surface_errors import displaced, smooth_error
 
 CUP = (0.020, 0.025)        # m, radius of the ball around the floor of the cup
 SHAFT = 0.042               # m, radius of the ball around a point of the shaft
@@ -20,7 +21,6 @@ MIDDLE = (0.35, 0.65)       # range of the length of a long bone that is shaft o
 OBJECT = (0.008, 0.030)     # m, half the width of an object along each axis
 MODEL_ERROR = 0.0003        # m, standard deviation
 CORRELATION = 0.015         # m, length over which the model error is correlated
-WAVES = 200                 # random Fourier features that approximate it
 
 
 def cup(vertices: Array, faces: np.ndarray, region: Patch, rng: np.random.Generator) -> Patch:
@@ -50,18 +50,9 @@ def moved(patch: Patch, T: Array) -> Patch:
 
 def with_model_error(recording: SimulatedRecording, field: Field,
                      rng: np.random.Generator) -> SimulatedRecording:
-    """
-    Return a recording of a bone that deviates smoothly from its model, along the normals.
-
-    The deviation is a Gaussian process, by random Fourier features (Rahimi and Recht 2007).
-    """
-    waves = rng.normal(0.0, 1.0 / CORRELATION, (WAVES, 3))
-    phases = rng.uniform(0.0, 2.0 * np.pi, WAVES)
-    cosines = np.cos(recording.tips @ waves.T + phases)
-    deviation = MODEL_ERROR * np.sqrt(2.0 / WAVES) * cosines.sum(axis=1)
-    shift = deviation[:, None] * field.sample(recording.tips)[1]
-    return replace(recording, tips=recording.tips + shift,
-                   positions=recording.positions + shift @ recording.T_tracker_bone[:3, :3].T)
+    """Return a recording of a bone that deviates smoothly from its model, along the normals."""
+    deviation = smooth_error(recording.tips, MODEL_ERROR, CORRELATION, rng)
+    return displaced(recording, deviation[:, None] * field.sample(recording.tips)[1])
 
 
 def other_object(rng: np.random.Generator) -> Patch:

@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.execution.result_table import Row
 from benchmarks.protocol.scoring import (
     PoseErrors,
+    attainable,
     cramer_rao,
     pose_errors,
     share_of_limits,
@@ -43,6 +44,7 @@ def trial_row(problem: Problem, result: RegistrationResult, config: Config) -> R
     """Return the row of a problem and its answer."""
     trial = problem.trial
     bound = None if trial.scenario.wrong else cramer_rao(problem)
+    limit = None if bound is None else attainable(problem)
     errors: dict[str, float | None] = dict.fromkeys(PoseErrors.__dataclass_fields__)
     if bound is not None and result.T_tracker_bone is not None:
         errors |= asdict(pose_errors(result.T_tracker_bone, problem, bound))
@@ -51,10 +53,10 @@ def trial_row(problem: Problem, result: RegistrationResult, config: Config) -> R
         'model': trial.model, 'verdict': verdict(problem, result, config),
         'reason': str(result.reason),
         'found': None if bound is None else is_found(problem, bound, result, config),
-        'well_posed': well_posed(problem, bound, config), **errors,
+        'well_posed': well_posed(problem, limit, config), **errors,
         'bound_rms_m': None if bound is None else rms(
             bound.predicted_tre(problem.field.surface_points.astype(np.float64))),
-        'share_of_limits': None if bound is None else share_of_limits(problem, bound, config),
+        'share_of_limits': None if limit is None else share_of_limits(problem, limit, config),
         'predicted_rms_m': result.predicted_tre_m.get('rms'), 'grade': result.grade,
         'runner_up_ratio': result.runner_up_ratio,
         'received': result.received, 'used': result.used, 'inliers': result.inliers,

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.protocol.cases import Case
 from benchmarks.protocol.scoring import (
+    attainable,
     cramer_rao,
     pose_errors,
     share_of_limits,
@@ -135,6 +136,15 @@ def test_every_pose_of_a_wrong_bone_is_wrong(femur_bone: Path) -> None:
     assert verdict(mirrored, answer(mirrored, 0.0, 1.0), Config()) == 'wrong'
     shaft = problem(femur_bone, 'shaft_only', region='proximal_femur')
     assert verdict(shaft, answer(shaft, 0.0), Config()) == 'right'
+
+
+def test_the_deviation_of_a_model_is_in_the_attainable_error(clean: Problem,
+                                                            femur_bone: Path) -> None:
+    np.testing.assert_allclose(attainable(clean).motion_covariance,
+                               cramer_rao(clean).motion_covariance, rtol=1e-6)
+    inexact = problem(femur_bone, 'smooth_0.5_15')
+    surface = inexact.field.surface_points.astype(np.float64)
+    assert (attainable(inexact).p95(surface) > 1.5 * cramer_rao(inexact).p95(surface)).all()
 
 
 def test_well_posed(clean: Problem, femur_bone: Path) -> None:
