@@ -9,8 +9,6 @@ than the ball, this position would penetrate the other wall: the ball rests on b
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -19,6 +17,7 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.simulation.interference import Kind
 from gsdf_registration.simulation.probe import SimulatedRecording
+from gsdf_registration.simulation.surface_errors import displaced
 
 TOLERANCE = 1e-7    # m, of the distance of a centre in contact
 PROJECTIONS = 400   # onto one wall after the other; in a groove of 60 degrees about 20 are needed
@@ -147,11 +146,8 @@ def with_ball_tip(recording: SimulatedRecording, vertices: Array, faces: NDArray
     if soft.any():
         arm = tips[soft] - contact.nearest(tips[soft])[1]
         tips[soft] += radius * arm / np.linalg.norm(arm, axis=1, keepdims=True)
-    kept = np.isfinite(tips).all(axis=1)
-    shift = (tips - recording.tips)[kept] @ recording.T_tracker_bone[:3, :3].T
-    return replace(recording, stamps=recording.stamps[kept],
-                   positions=recording.positions[kept] + shift, tips=tips[kept],
-                   kinds=recording.kinds[kept], strokes=recording.strokes[kept])
+    kept = np.asarray(np.isfinite(tips).all(axis=1))
+    return displaced(recording.part(kept), (tips - recording.tips)[kept])
 
 
 def _closest_points(points: Array, corners: Array) -> Array:

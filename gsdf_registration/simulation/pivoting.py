@@ -8,10 +8,10 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.simulation.correlated_noise import correlated_noise
 
 TIP = (0.012, -0.021, 0.148)            # m, tool frame
 PIVOT_PLACE = (0.10, -0.20, -1.20)      # m, tracker frame
@@ -134,7 +134,7 @@ def pivoting(rng: np.random.Generator, seconds: float = 20.0, rate: float = 40.0
     for time, displacement in faults.slips:
         centres[stamps >= time] += displacement * _direction(rng)
         kinds[stamps >= time] = PoseKind.SLIPPED
-    moved = centres + noise.wander * _wander(n, noise.memory * rate, rng)
+    moved = centres + noise.wander * correlated_noise((n, 3), max(noise.memory * rate, 1e-3), rng)
     T = np.tile(np.eye(4), (n, 1, 1))
     T[:, :3, 3] = moved - turns.apply(point) + noise.position * rng.normal(size=(n, 3))
     measured = turns * Rotation.from_rotvec(noise.orientation * rng.normal(size=(n, 3)))
@@ -172,14 +172,6 @@ def _turns(stamps: Array, turning: Turning, rng: np.random.Generator) -> Rotatio
     zero = np.zeros_like(stamps)
     tilts = Rotation.from_rotvec(np.stack([tilt * np.cos(phase), tilt * np.sin(phase), zero], 1))
     return tilts * Rotation.from_rotvec(np.stack([zero, zero, spin], 1))
-
-
-def _wander(n: int, memory: float, rng: np.random.Generator) -> Array:
-    """Return three independent random series (n, 3) of variance 1, correlated over ``memory``."""
-    keep = float(np.exp(-1.0 / max(memory, 1e-3)))
-    steps = rng.normal(size=(n, 3))
-    steps[1:] *= np.sqrt(1.0 - keep * keep)
-    return np.asarray(lfilter([1.0], [1.0, -keep], steps, axis=0))
 
 
 def _direction(rng: np.random.Generator) -> Array:

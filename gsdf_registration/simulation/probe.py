@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.rigid import (
@@ -17,6 +16,7 @@ from gsdf_registration.common.rigid import (
     rotation_from_quaternion,
     transform,
 )
+from gsdf_registration.simulation.correlated_noise import correlated_noise
 from gsdf_registration.simulation.distortion import Distortion
 from gsdf_registration.simulation.interference import (
     NONE,
@@ -237,8 +237,8 @@ def _strokes(patch: Patch, count: int, rng: np.random.Generator, tracker: Tracke
     step = hand.speed / tracker.rate
     strokes = _stroke_numbers(n, max(round(n * step / hand.stroke), 1), rng)
     starts, faces = _spread_starts(patch, strokes[-1] + 1, rng)
-    steps = step * np.exp(hand.unsteadiness * _correlated_noise(n, 0.2 * tracker.rate, rng))
-    turns = hand.curvature * _correlated_noise(n, 0.015 / step, rng) * steps
+    steps = step * np.exp(hand.unsteadiness * correlated_noise(n, 0.2 * tracker.rate, rng))
+    turns = hand.curvature * correlated_noise(n, 0.015 / step, rng) * steps
     headings = rng.uniform(0.0, 2.0 * np.pi, len(starts))
     tips, faces = walk(patch, starts, faces, headings, strokes, steps, turns)
     kept = dropout_mask(n, lost, max(round(0.1 * tracker.rate), 2), rng)
@@ -265,11 +265,3 @@ def _spread_starts(patch: Patch, count: int, rng: np.random.Generator,
         gaps = np.linalg.norm(points[own, None] - points[chosen], axis=2).min(axis=1)
         chosen.append(int(own[np.argmax(gaps)]))
     return points[chosen], faces[chosen]
-
-
-def _correlated_noise(n: int, memory: float, rng: np.random.Generator) -> Array:
-    """Return AR(1) noise (n,) of variance one with a correlation length of ``memory`` samples."""
-    keep = np.exp(-1.0 / memory)
-    noise = rng.normal(size=n) * np.sqrt(1.0 - keep * keep)
-    noise[:1] /= np.sqrt(1.0 - keep * keep)
-    return np.asarray(lfilter([1.0], [1.0, -keep], noise))

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from gsdf_registration.common.rigid import Array, rotation_exp
+from gsdf_registration.simulation.correlated_noise import correlated_noise
 from gsdf_registration.simulation.probe import SimulatedRecording
 
 WAVES = 200             # random Fourier features that approximate a Gaussian process
@@ -75,10 +75,7 @@ def tip_error(count: int, size: float, approach: Array, rng: np.random.Generator
     """
     error = rng.normal(size=3)
     error *= size / np.linalg.norm(error)
-    keep = np.exp(-1.0 / MEMORY)
-    drive = rng.normal(size=(count, 3)) * np.sqrt(1.0 - keep * keep)
-    drive[:1] /= np.sqrt(1.0 - keep * keep)
-    x, y, spin = np.array([TILT, TILT, SPIN])[:, None] * lfilter([1.0], [1.0, -keep], drive.T)
+    x, y, spin = (np.array([TILT, TILT, SPIN]) * correlated_noise((count, 3), MEMORY, rng)).T
     aside = np.linalg.svd(approach[None])[2][1:]        # two axes across the approach
     return np.array([rotation_exp(a * aside[0] + b * aside[1])
                      @ rotation_exp(c * approach) @ error for a, b, c in zip(x, y, spin)])

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.simulation.air import Distance, shaft_direction, way_between
+from gsdf_registration.simulation.correlated_noise import unevenly_correlated_noise
 from gsdf_registration.simulation.interference import Kind
 from gsdf_registration.simulation.patch import Patch
 from gsdf_registration.simulation.pivoting import TIP
@@ -119,13 +120,10 @@ def _least_jerk(count: int, length: float) -> Array:
 def _orientations(shafts: Array, stamps: Array, approach: Array, tool: Tool,
                   rng: np.random.Generator) -> Rotation:
     """Return the orientations of a tool whose shaft is along ``shafts`` (n, 3), bone frame."""
-    n = len(shafts)
-    keep = np.exp(-np.diff(stamps, prepend=stamps[:1]) / MEMORY)
-    noise = _correlated(keep, rng.normal(size=(n, 3)))
-    wobble = Rotation.from_rotvec(WOBBLE * noise)
+    wobble = Rotation.from_rotvec(WOBBLE * unevenly_correlated_noise(stamps, 3, MEMORY, rng))
     held = Rotation.align_vectors(approach[None], np.array(tool.shaft)[None])[0]
     tilted = wobble * Rotation.from_rotvec(_shortest_arc(approach, shafts)) * held
-    spin = rng.uniform(0.0, 2.0 * np.pi) + SPIN * _correlated(keep, rng.normal(size=(n, 1)))
+    spin = rng.uniform(0.0, 2.0 * np.pi) + SPIN * unevenly_correlated_noise(stamps, 1, MEMORY, rng)
     return tilted * Rotation.from_rotvec(spin * np.array(tool.shaft))
 
 
@@ -135,11 +133,3 @@ def _shortest_arc(start: Array, ends: Array) -> Array:
     sines = np.linalg.norm(axes, axis=1, keepdims=True)
     angles = np.arctan2(sines, (ends @ start)[:, None])
     return np.asarray(axes * angles / np.maximum(sines, 1e-12))
-
-
-def _correlated(keep: Array, drive: Array) -> Array:
-    """Return noise (n, k) of variance one; ``keep`` (n,): correlation with the sample before."""
-    noise = drive.copy()
-    for i in range(1, len(drive)):
-        noise[i] = keep[i] * noise[i - 1] + np.sqrt(1.0 - keep[i]**2) * drive[i]
-    return noise

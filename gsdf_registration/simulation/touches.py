@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from gsdf_registration.common.rigid import Array, transform
+from gsdf_registration.simulation.correlated_noise import correlated_noise
 from gsdf_registration.simulation.interference import Kind
 from gsdf_registration.simulation.patch import Patch
 from gsdf_registration.simulation.probe import SimulatedRecording, Tracker, measure
@@ -62,7 +62,7 @@ def simulate_touches(patch: Patch, count: int, rng: np.random.Generator, *,
     for k in range(count):
         rest = max(round(rng.uniform(*touching.dwell) * tracker.rate), 1)
         on = Kind.SOFT_TISSUE if height[k] > 0.0 else Kind.RESTING
-        shake = touching.tremor * _correlated(rest, 0.1 * tracker.rate, rng)
+        shake = touching.tremor * correlated_noise((rest, 3), 0.1 * tracker.rate, rng)
         parts = [(places[k] + shake, on)]
         if k + 1 < count:
             parts.append((_hop(places[k], places[k + 1], patch.approach, tracker, touching, rng),
@@ -87,11 +87,3 @@ def _hop(a: Array, b: Array, approach: Array, tracker: Tracker, touching: Touchi
     s = (np.arange(1, n) / n)[:, None]
     s = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)      # least jerk (Flash and Hogan 1985)
     return a + (b - a) * s + lift * np.sin(np.pi * s) * approach
-
-
-def _correlated(n: int, memory: float, rng: np.random.Generator) -> Array:
-    """Return noise (n, 3) of variance one with a correlation length of ``memory`` samples."""
-    keep = np.exp(-1.0 / memory)
-    noise = rng.normal(size=(n, 3)) * np.sqrt(1.0 - keep * keep)
-    noise[0] /= np.sqrt(1.0 - keep * keep)
-    return np.asarray(lfilter([1.0], [1.0, -keep], noise, axis=0))
