@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from refusals import command_refusal as refusal
 
 from gsdf_registration.cli.main import main
 from gsdf_registration.field import load_field
@@ -25,13 +26,6 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp('model') / 'pair.ply'
     trimesh.util.concatenate([small, large]).export(path)
     return path
-
-
-def refusal(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    assert main([str(word) for word in words]) == 2
-    error = capsys.readouterr().err
-    assert error.count('\n') == 1, error
-    return error
 
 
 def test_build_refuses_several_bones_and_lists_them(pair: Path, tmp_path: Path,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from page_text import text_of
 from recorded_operation import (
     EVENTS,
     START,
@@ -104,7 +105,7 @@ def assert_counted(document: dict[str, Any], out: str, page: str, run: RecordedO
         points['received'], points['used']]
     assert {cause.replace(' ', '_'): int(number) for number, cause in re.findall(
         r'(\d+) ([a-z ]+)', f'{counts.get("left out", "")}, {counts.get("rejected", "")}')} == named
-    text = re.sub(r'\s+', ' ', re.sub(r'<[^>]+>', ' ', page))
+    text = text_of(page)
     assert 'not explained' not in text and f'received {points["received"]} ' in text
     for cause, count in named.items():
         word = cause.replace('_', ' ')

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from page_text import text_of
 from smooth_bone import T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration.cli.main import main
@@ -23,12 +24,6 @@ from gsdf_registration.session.replay import replay
 from msg_adapters.bag import read_bag
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.session_file import write_session
-
-
-def text_of(file: Path) -> str:
-    """Return the text of a page without its scripts."""
-    page = re.sub(r'<(script|style).*?</\1>', '', file.read_text(), flags=re.DOTALL)
-    return re.sub(r'\s+', ' ', re.sub(r'<[^>]+>', ' ', page))
 
 
 @pytest.fixture
@@ -51,7 +46,7 @@ def test_register_and_replay_write_the_report(job: Path) -> None:
                  '--report', 'a.html']) == 0
     assert main(['replay', 'run', '--model', 'bone.ply', '--initial', 'start.json',
                  '--report', 'b.html', '--case', 'knee 7']) == 0
-    a, b = (text_of(job / name) for name in ('a.html', 'b.html'))
+    a, b = (text_of((job / name).read_text()) for name in ('a.html', 'b.html'))
     assert 'Registered' in a and 'bone.ply from points.csv' in a
     assert 'Registered' in b and 'bone.ply from run' in b and 'frame of the points camera' in b
     assert 'case knee 7' in b and 'date 2023-11-14 22:13 UTC' in b and 'case' not in a
@@ -60,7 +55,7 @@ def test_register_and_replay_write_the_report(job: Path) -> None:
     assert main(['replay', 'run', '--model', 'bone.ply', '--model-unit', 'm',
                  '--report', 'd.html']) == 1
     for name in ('c.html', 'd.html'):
-        assert 'Refused: wrong_unit' in text_of(job / name)
+        assert 'Refused: wrong_unit' in text_of((job / name).read_text())
 
 
 def test_a_saved_session_has_a_report(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,14 +64,14 @@ def test_a_saved_session_has_a_report(job: Path, capsys: pytest.CaptureFixture[s
     write_session('session.json', session.to_dict())
     command = ['show', 'session.json', '--model', 'bone.ply', '--report', 'a.html', '--case', 'k']
     assert main(command) == 0
-    text = text_of(job / 'a.html')
+    text = text_of((job / 'a.html').read_text())
     assert result.message in text and 'as saved in the session' in text and 'case k' in text
     assert not (job / 'scene.png').exists()
     session.configure(Config().replaced({'limits.max_error': 2e-5}))
     assert not session.register(T_tracker_bone=T_TRACKER_BONE).success
     write_session('session.json', session.to_dict())
     assert main(command) == 1
-    text = text_of(job / 'a.html')
+    text = text_of((job / 'a.html').read_text())
     assert 'Refused: under_constrained' in text and '1: touch here' in text
     assert 'registered again' in text and 'limits.max_error 2e-05' in text
     assert main(['show', 'run', '--model', 'bone.ply', '--report', 'b.html']) == 2

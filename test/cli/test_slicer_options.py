@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from refusals import command_refusal as refusal
 
 from gsdf_registration.cli.main import main
 from gsdf_registration.common.rigid import Array, from_rt, rotation_from_quaternion
@@ -44,13 +45,6 @@ def register(tmp_path: Path, model: Path, points: Path, *options: object,
     assert main(['register', str(model), str(points), '--unit', unit, '--json', str(out),
                  *map(str, options)]) == 0
     return json.loads(out.read_text())
-
-
-def refusal(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    assert main([str(word) for word in words]) == 2
-    error = capsys.readouterr().err
-    assert error.count('\n') == 1, error
-    return error
 
 
 def assert_pose(T: Array, expected: Array) -> None:

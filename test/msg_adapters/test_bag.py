@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
+from refusals import refusal
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -14,6 +16,8 @@ from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import exp
 from msg_adapters.bag import list_topics, read_bag
 from msg_adapters.bag_writer import BagWriter
+
+refused = partial(refusal, read_bag)
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 POINT = 'geometry_msgs/msg/PointStamped'
@@ -54,13 +58,6 @@ def points_on(topic, count, start=10**9, step=12_500_000):
 
 def storage_file(path):
     return next(file for file in path.iterdir() if file.suffix in ('.mcap', '.db3'))
-
-
-def refusal(*args):
-    with pytest.raises(InputError) as caught:
-        read_bag(*args)
-    assert '\n' not in caught.value.message
-    return caught.value.message
 
 
 @pytest.mark.parametrize('storage', STORAGES)
@@ -113,7 +110,7 @@ def test_reads_points_and_poses_of_a_tool(tmp_path, storage):
     assert [(topic.name, topic.messages) for topic in list_topics(path)] == [
         ('/motion', 1), ('/point', 1), ('/pose', 1), ('/text', 1), ('/uncertain', 1)]
     assert read_bag(path).source_names == ['/point']        # the only PointStamped topic
-    assert '/text' in refusal(path, ['/text'])
+    assert '/text' in refused(path, ['/text'])
 
 
 def test_the_only_tool_is_the_probe_if_there_are_no_points(tmp_path):
@@ -121,7 +118,7 @@ def test_the_only_tool_is_the_probe_if_there_are_no_points(tmp_path):
         (topic, 'geometry_msgs/msg/PoseStamped', 1,
          new('geometry_msgs/msg/PoseStamped', header(20, 'a'), pose_of(x)))
         for topic, x in (('/probe/measured_cp', 1.0), ('/array/measured_cp', 2.0))])
-    assert '2 topics that could be the probe; choose with --topic' in refusal(path)
+    assert '2 topics that could be the probe; choose with --topic' in refused(path)
     points = read_bag(path, reference='/array/measured_cp')
     assert points.source_names == ['/probe/measured_cp'] and points.positions[0, 0] == 1.0
 
@@ -160,7 +157,7 @@ def test_transforms_keep_their_place_between_the_points(tmp_path, storage):
     assert np.isnan(points.transforms[3].T_parent_child).all()     # the orientation is not valid
     assert [each.child for each in read_bag(path, reference='/array').transforms] == ['', '']
     assert not read_bag(path).transforms
-    assert '/array' in refusal(path, None, '/elsewhere') and 'reference.topic' in refusal(
+    assert '/array' in refused(path, None, '/elsewhere') and 'reference.topic' in refused(
         path, None, '/tip')
 
 
@@ -170,12 +167,12 @@ def test_selects_the_topic_of_the_tip(tmp_path):
     assert read_bag(record(tmp_path / 'a', tip + other + marks)).source_names == ['/probe/tip']
     assert read_bag(record(tmp_path / 'b', other + marks)).source_names == ['/other']
     assert len(read_bag(tmp_path / 'b', ['/probe/landmarks', '/other', '/other'])) == 4
-    message = refusal(record(tmp_path / 'c', other + points_on('/another', 1)))
+    message = refused(record(tmp_path / 'c', other + points_on('/another', 1)))
     assert '/other' in message and '/another' in message and POINT in message
-    assert '/probe/landmarks' in refusal(record(tmp_path / 'd', marks))
-    assert '/tip' in refusal(tmp_path / 'a', ['/tip']) and '/probe/tip' in refusal(
+    assert '/probe/landmarks' in refused(record(tmp_path / 'd', marks))
+    assert '/tip' in refused(tmp_path / 'a', ['/tip']) and '/probe/tip' in refused(
         tmp_path / 'a', ['/tip'])
-    assert refusal(tmp_path / 'a', [])
+    assert refused(tmp_path / 'a', [])
 
 
 def test_keeps_points_that_are_not_finite(tmp_path):
@@ -185,19 +182,19 @@ def test_keeps_points_that_are_not_finite(tmp_path):
 
 
 def test_rejects_a_path_that_is_not_a_bag(tmp_path):
-    assert 'does not exist' in refusal(tmp_path / 'none')
+    assert 'does not exist' in refused(tmp_path / 'none')
     (tmp_path / 'empty').mkdir()
-    assert 'is not a bag' in refusal(tmp_path / 'empty')
+    assert 'is not a bag' in refused(tmp_path / 'empty')
     (tmp_path / 'points.csv').write_text('x,y,z\n')
-    assert 'is not a bag' in refusal(tmp_path / 'points.csv')
+    assert 'is not a bag' in refused(tmp_path / 'points.csv')
     for suffix in ('mcap', 'db3'):
         (tmp_path / f'zero.{suffix}').write_bytes(b'')
         (tmp_path / f'junk.{suffix}').write_bytes(b'no bag at all\n' * 20)
-        assert str(tmp_path) in refusal(tmp_path / f'zero.{suffix}')
-        assert str(tmp_path) in refusal(tmp_path / f'junk.{suffix}')
+        assert str(tmp_path) in refused(tmp_path / f'zero.{suffix}')
+        assert str(tmp_path) in refused(tmp_path / f'junk.{suffix}')
     with BagWriter(tmp_path / 'nothing'):
         pass
-    assert 'topic' in refusal(tmp_path / 'nothing')
+    assert 'topic' in refused(tmp_path / 'nothing')
 
 
 @pytest.mark.parametrize('storage', STORAGES)

@@ -6,11 +6,12 @@ from __future__ import annotations
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pyigtl
 import pytest
+from waiting import until
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import exp
@@ -46,13 +47,6 @@ def collect(stream: ToolStream, count: int) -> list[ToolReading]:
     while len(readings) < count and time.monotonic() < deadline:
         readings += stream.receive(0.05)
     return readings
-
-
-def until(condition: Callable[[], bool], act: Callable[[], object] = lambda: None) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        act()
 
 
 def test_receives_every_transform_of_a_server(port: int) -> None:

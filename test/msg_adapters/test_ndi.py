@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
+from refusals import refusal
 
 from gsdf_registration.cli.main import make_parser
 from gsdf_registration.common.result import InputError
 from msg_adapters.ndi import is_ndi, read_ndi, read_tools, topic_of
 from msg_adapters.points import read_points
 from msg_adapters.tool_poses import read_tool_poses
+
+refused = partial(refusal, read_ndi)
 
 LABEL = 'Port 0x0A: PROBE-5D  s/n:00C0FFEE Channel:0'
 EM = """Tools,LABEL,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers
@@ -41,13 +46,6 @@ def write(path, text):
     return path
 
 
-def refusal(*args, **options):
-    with pytest.raises(InputError) as caught:
-        read_ndi(*args, **options)
-    assert '\n' not in caught.value.message
-    return caught.value.message
-
-
 def test_reads_valid_samples_and_counts_lost_ones(tmp_path):
     for text in (EM, EM.replace('\n', '\r\n'), '\ufeff' + EM, EM.replace('OK', 'ok')):
         path = write(tmp_path / 'em.csv', text)
@@ -73,9 +71,9 @@ def test_reads_each_tool_by_its_label(tmp_path):
 
 def test_rejects_an_ambiguous_tool(tmp_path):
     path = write(tmp_path / 'optical.csv', OPTICAL)
-    for message in (refusal(path), refusal(path, 'port'), refusal(path, 'saw')):
+    for message in (refused(path), refused(path, 'port'), refused(path, 'saw')):
         assert 'Probe' in message and 'Array' in message
-    assert "no tools that match 'saw'" in refusal(path, 'saw')
+    assert "no tools that match 'saw'" in refused(path, 'saw')
 
 
 def test_file_without_times_has_no_stamps(tmp_path):
@@ -113,7 +111,7 @@ def test_reads_files_without_labels(tmp_path):
 ])
 def test_message_names_the_defect(tmp_path, text, words):
     path = write(tmp_path / 'bad.csv', text)
-    assert words in refusal(path) and 'bad.csv' in refusal(path)
+    assert words in refused(path) and 'bad.csv' in refused(path)
 
 
 SHARED = """#Tools,ToolInfo,Frame#,PortHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,\
@@ -190,9 +188,9 @@ def test_a_last_line_that_was_cut_is_counted(tmp_path):
 def test_the_rate_gives_the_times_of_a_file_that_has_none(tmp_path):
     bare = EM.replace('12.000', '').replace('12.050', '')
     assert read_ndi(write(tmp_path / 'bare.csv', bare), rate=40.0).stamps.tolist() == [2.5, 2.9]
-    assert 'omit --rate' in refusal(write(tmp_path / 'em.csv', EM), rate=40.0)
+    assert 'omit --rate' in refused(write(tmp_path / 'em.csv', EM), rate=40.0)
     gap = write(tmp_path / 'gap.csv', bare.replace(',116,', ',,'))
-    assert 'line 4: the frame number is missing' in refusal(gap, rate=40.0)
+    assert 'line 4: the frame number is missing' in refused(gap, rate=40.0)
 
 
 def test_points_are_those_of_the_chosen_tool(tmp_path):

@@ -10,8 +10,8 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refusal
 
-from gsdf_registration.common.result import InputError
 from msg_adapters.points import read_landmarks, read_model, read_points
 
 BOX = trimesh.creation.box(extents=[40.0, 60.0, 80.0])
@@ -105,14 +105,6 @@ def test_reads_the_normals_of_a_binary_ply_cloud(tmp_path):
     vertices, _, normals = read_model(write(tmp_path / 'c.ply',
                                             head.encode() + rows.tobytes()), 'm')
     np.testing.assert_array_equal(np.hstack([vertices, normals]), rows)
-
-
-def refusal(read, *args):
-    with pytest.raises(InputError) as caught:
-        read(*args)
-    message = caught.value.message
-    assert '\n' not in message and 'Traceback' not in message
-    return message
 
 
 def test_rejects_files_that_are_not_models(tmp_path):

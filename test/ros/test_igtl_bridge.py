@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import signal
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from waiting import until
 
 from gsdf_registration.cli.main import main
 from gsdf_registration.clients.igtl_bridge import LATCHED, TURNS, Bridge, topics_of
@@ -47,14 +47,6 @@ def context() -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.shutdown()
-
-
-def until(condition: Callable[[], Any], *steps: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline
-        for step in steps:
-            step()
 
 
 def test_bridges_tools_to_topics_and_the_bone_to_a_client(

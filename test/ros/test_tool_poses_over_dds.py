@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -169,7 +170,7 @@ def test_finds_the_centre_of_a_joint_as_a_landmark(tool: ToolTracker) -> None:
     answer = client.ask('find_joint_centre')
     assert answer.success and 'landmark "hip_centre" found' in answer.message, answer.message
     assert client.status()['landmarks'] == '1'
-    found = np.array(eval(answer.message.split(' at ')[1].split(' mm')[0]))
+    found = np.array(json.loads(answer.message.split(' at ')[1].split(' mm')[0]))
     assert np.linalg.norm(1e-3 * found - HIP_CENTRE) < 0.005
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_text import text_of
 from smooth_bone import LANDMARKS, T_TRACKER_BONE, bone_field, touched_points
 
 from gsdf_registration import __version__
@@ -67,12 +68,6 @@ def page(result: RegistrationResult, field: Field, points: Array,
          tmp_path_factory: pytest.TempPathFactory) -> str:
     return written(tmp_path_factory.mktemp('report'), result, field, points, case='case 7',
                    config=Config().replaced({'model.path': 'femur_left.stl'}))
-
-
-def text_of(page: str) -> str:
-    """Return the text of a page without its scripts."""
-    page = re.sub(r'<(script|style).*?</\1>', '', page, flags=re.DOTALL)
-    return re.sub(r'\s+', ' ', re.sub(r'<[^>]+>', ' ', page))
 
 
 def scene_of(page: str) -> dict[str, Any]:
