@@ -17,11 +17,12 @@ import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.parameter import Parameter
 from ros_support import ROOT, NodeProcess, Tracker, tracked
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from gsdf_registration.common.result import InputError
 from msg_adapters import ros
-from msg_adapters.bag import list_topics, read_bag
+from msg_adapters.bag import TYPES, list_topics, read_bag
 
 pytestmark = pytest.mark.ros
 STILL = np.eye(4)
@@ -93,6 +94,26 @@ def replayed(bag: Path, tmp_path: Path, *options: str) -> dict:
     return {**json.loads((tmp_path / 'replay.json').read_text()), 'out': done.stdout}
 
 
+def sent(bag: Path, topic: str) -> list[Any]:
+    """Return the messages on a topic of a recording."""
+    with AnyReader([bag]) as reader:
+        return [TYPES.deserialize_cdr(data, connection.msgtype)
+                for connection, _, data in reader.messages(
+                    [each for each in reader.connections if each.topic == topic])]
+
+
+def assert_same_topics(replayed: Path, recorded: Path, node: str) -> None:
+    """Check that ``gsdf replay --mcap`` wrote what the node published."""
+    for topic in ('bone_pose', 'bone_pose_with_covariance', 'events'):
+        ours, theirs = sent(replayed, f'/registration/{topic}'), sent(recorded, f'{node}/{topic}')
+        renamed = str(theirs).replace(f"name='{node}'", "name='/registration'")
+        assert theirs and str(ours) == renamed, topic
+    tips = set(map(str, sent(replayed, '/registration/tip')))
+    assert set(map(str, sent(recorded, f'{node}/tip'))) <= tips     # best effort: some may be lost
+    ours, theirs = sent(replayed, '/registration/points'), sent(recorded, f'{node}/points')
+    assert ours[-1].data.tobytes() == theirs[-1].data.tobytes() != b''
+
+
 def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: Tracker,
                                              recorder: Callable[..., RecorderProcess],
                                              tmp_path: Path) -> None:
@@ -130,7 +151,10 @@ def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: 
 
     recording = read_bag(running.bag, events=None)
     assert recording.complete and recording.source_names == ['/probe/tip']
-    document = replayed(running.bag, tmp_path)
+    (tmp_path / 'fast.yaml').write_text('live: {enabled: false}')     # it changes no result
+    document = replayed(running.bag, tmp_path, '--mcap', str(tmp_path / 'topics'), '--config',
+                        str(tmp_path / 'fast.yaml'))
+    assert_same_topics(tmp_path / 'topics', running.bag, name)
     assert document['recording'] == {'complete': True, 'notes': []}
     T = np.array(document['T_tracker_bone'])
     again = ros.pose_with_covariance_msg(T, document['covariance'], pose.header.frame_id,
