@@ -128,6 +128,8 @@ def node_order(topics: Sequence[str], stamps: Sequence[float],
             else:       # the others came before the node was started
                 epoch[rows[:max(after - count, 0)]] = 0
             counted[topic], seen[topic] = count, first + after
+        if event.begins_session:    # the samples before it do not matter
+            lost = 0
     # a message of another topic comes after those recorded before it
     other = np.array([topic not in named for topic in topics], dtype=bool)
     latest = np.maximum.accumulate(np.where(other, -1, epoch)) if n else epoch

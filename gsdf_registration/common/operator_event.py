@@ -49,6 +49,11 @@ class OperatorEvent:
     kept: int = 0
     last: dict[str, tuple[int, float]] = field(default_factory=dict)
 
+    @property
+    def begins_session(self) -> bool:
+        """Whether everything that was collected before is dropped."""
+        return self.name in ('clear', 'configure') and self.performed and self.success
+
     def values(self) -> dict[str, str]:
         """Return keys and values of a message, see `from_values`; the message is not among them."""
         return {

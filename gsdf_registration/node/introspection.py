@@ -48,8 +48,8 @@ class Introspection:
         self._node = node
         state = node.declare_parameter(PARAMETER, 'disabled', ParameterDescriptor(
             description='whether requests and responses are published on _service_event',
-            additional_constraints=f'one of {", ".join(STATES)}')).value
-        if state not in STATES:
+            additional_constraints=f'one of {", ".join(STATES)}', dynamic_typing=True)).value
+        if state not in list(STATES):
             raise InputError(_refusal(state))
         if state != 'disabled':
             self._apply(state)
@@ -74,7 +74,7 @@ class Introspection:
 def _check(parameters: list[Parameter]) -> SetParametersResult:
     """Reject a value that is not one of `STATES`."""
     wrong = [each.value for each in parameters
-             if each.name == PARAMETER and each.value not in STATES]
+             if each.name == PARAMETER and each.value not in list(STATES)]
     return SetParametersResult(successful=not wrong, reason=_refusal(wrong[0]) if wrong else '')
 
 

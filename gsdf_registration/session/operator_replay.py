@@ -62,8 +62,6 @@ class OperatorReplay:
     ----------
     receiving, active : bool
         Whether the node received the poses of the reference array, and used samples.
-    notes : list of str
-        Sentences on what differs from the node.
 
     """
 
@@ -71,18 +69,27 @@ class OperatorReplay:
                  settle: Settle, settings: Mapping[str, Any],
                  landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None) -> None:
         self.receiving = self.active = False
-        self.notes: list[str] = []
+        self._other_model = False
         self._session, self._clear, self._sha256 = session, clear, model_sha256
         self._settle = settle
         self._landmarks, self._T = landmarks, T_tracker_bone
         self._settings = dict(settings)
-        self._differs = False
+        self._difference = ''       # sentence on the first one since the session began
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on what differs from the node."""
+        model = 'the node used another bone model than the replay' if self._other_model else ''
+        return [note for note in (model, self._difference) if note]
 
     def apply(self, event: OperatorEvent) -> None:
         """Carry out one request; one that the node did not carry out changes nothing."""
         if not event.performed:
             return
-        self._compare_points(event)
+        if event.begins_session:
+            self._difference = ''
+        else:
+            self._compare_points(event)
         try:
             answer = self._requests(event)
         except InputError as error:
@@ -179,18 +186,15 @@ class OperatorReplay:
 
     def _check_model(self, model_sha256: str | None) -> None:
         if model_sha256 not in (None, self._sha256):
-            note = 'the node used another bone model than the replay'
-            if note not in self.notes:
-                self.notes.append(note)
+            self._other_model = True
 
     def _compare_points(self, event: OperatorEvent) -> None:
         kept = self._session.kept
-        if event.kept not in (kept, UNKNOWN) and event.name != 'configure':
+        if event.kept not in (kept, UNKNOWN):
             self._differ(f'the node had {event.kept} points, the replay has {kept}', event)
 
     def _differ(self, what: str, event: OperatorEvent) -> None:
-        """Report the first difference; what follows it may differ as a result."""
-        if not self._differs:
-            self._differs = True
-            self.notes.append(f'not replayed exactly, from event {event.number} ({event.name}) on: '
-                              f'{what}')
+        """Keep the first difference in the session; what follows it may differ as a result."""
+        if not self._difference:
+            self._difference = (f'not replayed exactly, from event {event.number} ({event.name}) '
+                                f'on: {what}')

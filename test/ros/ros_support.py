@@ -142,12 +142,6 @@ class Tracker:
         self.await_processed(10)
         self.client.ask('clear')
 
-    def await_subscriptions(self, number: int, topic: str = '/probe/tip') -> None:
-        """Wait until so many subscriptions are connected to a topic."""
-        publisher = self._publishers[topic]
-        self.client.spin_until(lambda: publisher.get_subscription_count() == number,
-                               f'{topic} has not {number} subscriptions')
-
     def send(self,
              positions: np.ndarray,
              steps: np.ndarray | float = 0.0125,

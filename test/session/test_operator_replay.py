@@ -233,3 +233,20 @@ def test_samples_from_before_the_node_are_not_used(tmp_path: Path) -> None:
     early.tip(POINTS[:100])
     run.messages[:0] = [each for each in early.messages if each[1] == TIP]
     assert_replayed(run, tmp_path, None)
+
+
+def test_a_recorder_that_is_started_before_the_second_session(tmp_path: Path) -> None:
+    """The events of the first session are recorded, as they are latched, its samples are not."""
+    run = RecordedOperation(bone_field(), CONFIG)
+    touch_landmarks(run)
+    stroke(run, POINTS[:300])
+    assert run.call('register').success
+    begin = len(run.messages)
+    run.tip(POINTS[:5])         # recorded, and not used
+    run.call('clear')
+    touch_landmarks(run)
+    stroke(run, POINTS[300:])
+    assert run.call('register').success
+    run.messages = [each for number, each in enumerate(run.messages)
+                    if number >= begin or each[1] == EVENTS]
+    assert_replayed(run, tmp_path, None)
