@@ -49,8 +49,8 @@ def add_parser(subparsers: Any) -> None:
                         'reference.topic)')
     parser.add_argument('--events', metavar='T',
                         help='topic of what the operator did, or "none" to register all points '
-                        '(default: the only topic that ends with /events, or else the only node with '
-                        'recorded service events, which may also be named)')
+                        '(default: the only topic that ends with /events); or the node whose '
+                        'services were introspected (default: the only one)')
     parser.add_argument('--jobs', type=positive_number, metavar='N',
                         help='number of recordings processed in parallel (default: 1)')
     parser.add_argument('--mcap', metavar='OUT',
