@@ -57,6 +57,8 @@ class Stage(NamedTuple):
     points : number used
     scales : of the weights, one per step, relative to the capture range
     fine : whether the fine nodes are used
+    dense : whether sparse points are left out, which are mostly in the air: they would pull a pose
+        that is still far off
     survivors : maximum number of poses that proceed
     done : share of the whole work done after it
     """
@@ -64,16 +66,17 @@ class Stage(NamedTuple):
     points: int
     scales: tuple[float, ...]
     fine: bool
+    dense: bool
     survivors: int
     done: float
 
 
-FIRST = Stage(40, (1.0, 0.75, 0.5, 0.35, 0.25), False, 400, 0.85)
+FIRST = Stage(40, (1.0, 0.75, 0.5, 0.35, 0.25), False, True, 400, 0.85)
 # The last scale ranks the poses. It is narrow: with a wide scale, a pose that fits all points
 # moderately, including interference, would rank above the pose that fits those on the bone exactly.
-STAGES = (Stage(100, (0.3, 0.25, 0.2, 0.15, 0.1, 0.075), False, 600, 0.95),
-          Stage(150, (0.15, 0.1, 0.1, 0.05), True, 100, 0.98),
-          Stage(400, (0.1, 0.075, 0.05, 0.05), True, MOST_POSES, 1.0))
+STAGES = (Stage(100, (0.3, 0.25, 0.2, 0.15, 0.1, 0.075), False, True, 600, 0.95),
+          Stage(150, (0.15, 0.1, 0.1, 0.05), True, False, 100, 0.98),
+          Stage(400, (0.1, 0.075, 0.05, 0.05), True, False, MOST_POSES, 1.0))
 
 
 def find_start_poses(points: Array,
@@ -120,7 +123,7 @@ def find_start_poses(points: Array,
             starts = rotated_starts(T_bone_tracker @ rigid.inverse(T_principal_tracker))
             poses = Poses.concatenated([starts, _run_stage(work, FIRST, core, field, starts)])
         for stage in STAGES:
-            poses = _run_stage(work, stage, points, field, poses)
+            poses = _run_stage(work, stage, core if stage.dense else points, field, poses)
     return np.array([rigid.from_rt(R, t) @ T_principal_tracker
                      for R, t in zip(poses.R[:count], poses.t[:count])])
 
