@@ -122,6 +122,7 @@ class Tracker:
         self.truth: Truth = read_truth(bag.with_suffix('.yaml'))
         self.positions = recording.positions
         self.steps = np.diff(recording.stamps, prepend=recording.stamps[0]) + 1e-4
+        self.sent = 0       # messages so far
         self._stamp = 1000.0
         qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
         self._publishers = {
@@ -151,6 +152,7 @@ class Tracker:
             self._stamp += float(step)
             stamp = ros.seconds_to_stamp(self._stamp)
             self._publishers[topic].publish(self.message(position, frame_id, stamp))
+            self.sent += 1
             time.sleep(0.0005)      # no faster than a real tracker
 
     def message(self, position: np.ndarray, frame_id: str, stamp: Any) -> Any:
