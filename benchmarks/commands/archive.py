@@ -19,8 +19,8 @@ from benchmarks.options import SHIPPED, add_seed_option, print_table
 from gsdf_registration.common.command_line import counting_bar, example, positive_number
 from gsdf_registration.common.result import InputError
 
-COLUMNS = ('run', 'results', 'time s', 'results/s', 'faster', 'MB')
-WIDTHS = (34, 9, 9, 11, 8, 7)
+COLUMNS = ('run', 'results', 'time s', 'results/s', 'faster', 'CPU ms', 'MB')
+WIDTHS = (34, 9, 9, 11, 8, 8, 7)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -30,8 +30,10 @@ def add_parser(subparsers: Any) -> None:
         description='Simulate an archive of recordings with landmarks, one of 20 cut and one '
         'empty. Register it with 1 and 2 processes and on a local Dask cluster of 2 workers, '
         'compare the tables, and continue a run that is complete. Then register empty recordings '
-        'only, which measures what is done for each recording apart from the registration. MB: '
-        'largest memory of the command itself. Needs the extra "dask".',
+        'only, which measures what is done for each recording apart from the registration. CPU '
+        'ms: of all processes of the command, for each result, which other programs on the machine '
+        'change less than the time; without the workers of the cluster. MB: largest memory of the '
+        'command itself. Needs the extra "dask".',
         **example('python -m benchmarks archive --bags 1000'))
     parser.add_argument('--bags', type=positive_number, default=1000, metavar='N',
                         help='number of recordings (default: 1000)')
@@ -78,16 +80,17 @@ def _measure(name: str, what: list[str], output: Path, count: int,
              reference: float | None = None) -> float:
     """Run the command, print a row, and return the time, s."""
     started = perf_counter()
-    memory = _gsdf('replay', *what, '--output', str(output))
+    cpu, memory = _gsdf('replay', *what, '--output', str(output))
     seconds = perf_counter() - started
     print_table([(name, str(count), f'{seconds:.1f}', f'{count / seconds:.1f}',
-                  f'{reference / seconds:.2f}' if reference else '', f'{memory:.0f}')], WIDTHS)
+                  f'{reference / seconds:.2f}' if reference else '', f'{1e3 * cpu / count:.0f}',
+                  f'{memory:.0f}')], WIDTHS)
     sys.stdout.flush()
     return seconds
 
 
-def _gsdf(*words: str) -> float:
-    """Run the command and return its largest memory, MB; raise `InputError` if it fails."""
+def _gsdf(*words: str) -> tuple[float, float]:
+    """Run the command; return its CPU time, s, and memory, MB; raise `InputError` if it fails."""
     process = subprocess.Popen([sys.executable, '-m', 'gsdf_registration', *words],
                                stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
@@ -95,7 +98,7 @@ def _gsdf(*words: str) -> float:
     # empty recordings are unreadable input, 2; a difference is 1 and so is an interruption
     if process.returncode not in ((0, 2) if words[0] == 'replay' else (0,)):
         raise InputError(f'gsdf {" ".join(words)} ended with the status {process.returncode}')
-    return usage.ru_maxrss / 1024.0
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0
 
 
 @contextmanager
@@ -103,7 +106,7 @@ def _cluster(workers: int) -> Iterator[str]:
     """Run a Dask cluster on this machine; yield the address of its scheduler."""
     from distributed import LocalCluster
     logging.getLogger('distributed').setLevel(logging.ERROR)
-    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=':0') as cluster:
         yield str(cluster.scheduler_address)
 
 

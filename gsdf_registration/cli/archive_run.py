@@ -51,8 +51,11 @@ def run(args: argparse.Namespace) -> int:
     try:
         with counting_bar('recordings', len(jobs)) as advance:
             archive.compute(args.scheduler, workers, advance)
-    finally:        # the rows so far, also after Ctrl-C
-        counts = archive.write()
+    except BaseException:       # as after Ctrl-C: the rows so far
+        if archive.computed:
+            archive.write()
+        raise
+    counts = archive.write()
     print(_summary(counts, archive.known, args.output))
     return max(_status(reason) for reason in counts)
 
@@ -71,7 +74,7 @@ class _Archive:
     """The jobs of a run, and the places of their rows in the journal."""
 
     def __init__(self, folder: Path, jobs: list[Job]) -> None:
-        self.known = 0          # jobs that an earlier run answered
+        self.known = self.computed = 0      # jobs answered by an earlier run, and by this one
         self._folder, self._jobs = folder, jobs
         self._journal = table.Journal(folder)
         self._places: list[int | None] = [None] * len(jobs)
@@ -87,6 +90,7 @@ class _Archive:
                 job = self._jobs[numbers[index]]
                 key, row = _died(job) if isinstance(answer, Died) else answer
                 self._places[numbers[index]] = self._journal.add(key, row)
+                self.computed += 1
                 advance()
 
     def write(self) -> Counter[str]:
@@ -149,12 +153,12 @@ def _status(reason: str) -> int:
 
 
 def _summary(counts: Counter[str], known: int, folder: str) -> str:
-    total, registered = sum(counts.values()), counts[Reason.CONVERGED.value]
-    refused = ', '.join(f'{count} {reason}' for reason, count in counts.most_common()
-                        if reason != Reason.CONVERGED.value)
-    before = f'; {known} of them in an earlier run' if known else ''
+    reasons = sorted(counts, key=lambda reason: (_status(reason), -counts[reason], reason))
+    outcomes = ', '.join(f'{counts[reason]} '
+                         + ('registered' if _status(reason) == 0 else reason)
+                         for reason in reasons)
+    before = f', {known} of them from an earlier run' if known else ''
     return '\n'.join([
-        f'{format_count(total, "row")}: {registered} registered, {total - registered} not'
-        + (f' ({refused})' if refused else '') + before,
+        f'{format_count(sum(counts.values()), "result")}{before}: {outcomes}',
         f'  table          {Path(folder, table.CSV)}',
         f'  page           {Path(folder, table.PAGE)}'])

@@ -140,7 +140,7 @@ def test_a_dask_cluster_gives_the_same_table(pool: Path) -> None:
     import dask
     with dask.config.set({'distributed.scheduler.allowed-failures': 0}), \
             distributed.LocalCluster(n_workers=2, threads_per_worker=1,
-                                     dashboard_address=None) as cluster:
+                                     dashboard_address=':0') as cluster:
         assert main(['replay', 'archive', *OPTIONS, '--scheduler', cluster.scheduler_address,
                      '--output', 'dask']) == 2
     assert rows(pool.parent / 'dask') == rows(pool)
@@ -162,7 +162,7 @@ def test_a_run_is_continued(pool: Path, computed: list[str],
         assert [row for row in after if row['reason'] == 'converged'][-1]['bag'] == computed[0]
         good = next(row for row in before if row['bag'] == 'archive/good')
         assert {**good, 'bag': 'archive/moved'} in after and before[0] in after
-        assert '8 of them in an earlier run' in capsys.readouterr().out
+        assert '9 results, 8 of them from an earlier run: 4 registered' in capsys.readouterr().out
     finally:
         shutil.move('archive/moved', 'archive/good')
         shutil.move('archive/moved.yaml', 'archive/good.yaml')
@@ -176,7 +176,7 @@ def test_settings_are_compared_over_cases(pool: Path, computed: list[str],
                                  'archive/good,right,other.yaml\n')
     Path('other.yaml').write_text('limits: {max_error: 0.00001}\n')
     assert main(['replay', '--cases', 'cases.csv', *OPTIONS, '--sweep',
-                 'solver.method=mixture,paper', '--report', '--output', 'sweep']) == 1
+                 'solver.method=mixture,paper', '--output', 'sweep']) == 1
     found = rows(Path('sweep'))
     assert computed == ['archive/twice', 'archive/twice', 'archive/good', 'archive/good']
     assert [(row['label'], row['setting'], row['reason']) for row in found] == [
@@ -187,10 +187,22 @@ def test_settings_are_compared_over_cases(pool: Path, computed: list[str],
     for row in found:
         assert json.loads(Path('sweep', row['result']).read_text())['config']['solver.method'] in (
             row['setting'])
-        assert row['label'] in Path('sweep', row['report']).read_text()
-    page = Path('sweep/summary.html').read_text()
-    assert 'Settings compared' in page and f'href="{found[0]["report"]}"' in page
-    assert capsys.readouterr().out.startswith('4 rows: 2 registered, 2 not (2 under_constrained)')
+    assert 'Settings compared' in Path('sweep/summary.html').read_text()
+    assert capsys.readouterr().out.startswith('4 results: 2 registered, 2 under_constrained\n')
+
+
+def test_each_row_links_to_its_report(pool: Path, computed: list[str]) -> None:
+    pytest.importorskip('PIL', reason='Pillow is not installed')
+    command = ['replay', 'archive/good', 'archive/empty.mcap', *OPTIONS, '--case', 'knee 7',
+               '--report', '--output', 'reported']
+    assert main(command) == 2
+    good, empty = rows(Path('reported'))
+    assert 'knee 7' in Path('reported', good['report']).read_text() and not empty['report']
+    page = Path('reported/summary.html').read_text()
+    assert f'href="{good["report"]}"' in page and f'href="{empty["result"]}"' in page
+    Path('reported', good['report']).unlink()       # a file that is missing is written again
+    assert main(command) == 2 and computed[2:] == ['archive/good']
+    assert Path('reported', rows(Path('reported'))[0]['report']).is_file()
 
 
 def test_changes_between_runs_are_listed(pool: Path, capsys: pytest.CaptureFixture[str]) -> None:
