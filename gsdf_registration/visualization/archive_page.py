@@ -146,7 +146,7 @@ def _bars(found: Statistics) -> str:
 def _settings(found: Statistics) -> str:
     """Return a table with a row for each setting of a sweep."""
     header = [('setting', ''), ('registered', 'number'), ('grade A', 'number'),
-              ('not registered', ''), *((f'{name}, mm: median, 95 %, largest', 'number more')
+              ('not registered', ''), *((f'{name}, mm: median, 95 %, largest', 'number')
                                         for name in ('stated error', 'true error')),
               ('time: median', 'number')]
     rows = []
@@ -184,7 +184,7 @@ def _list(rows: Sequence[Row], name: str = '') -> str:
 
 def _cells(row: Row, messages: bool) -> list[str]:
     good = row['reason'] == SUCCESS
-    about = ' '.join(html.escape(row[name]) for name in ('label', 'setting') if row[name])
+    about = ', '.join(html.escape(row[name]) for name in ('label', 'setting') if row[name])
     grade = f' ({row["grade"]})' if row['grade'] else ''
     message = '' if good or not messages else f'<small>{html.escape(row["message"] or "")}</small>'
     notes = (row['notes'] or '').split(' | ') if row['notes'] else []
