@@ -122,7 +122,6 @@ class Tracker:
         self.truth: Truth = read_truth(bag.with_suffix('.yaml'))
         self.positions = recording.positions
         self.steps = np.diff(recording.stamps, prepend=recording.stamps[0]) + 1e-4
-        self.sent = 0       # messages so far
         self._stamp = 1000.0
         qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
         self._publishers = {
@@ -152,7 +151,6 @@ class Tracker:
             self._stamp += float(step)
             stamp = ros.seconds_to_stamp(self._stamp)
             self._publishers[topic].publish(self.message(position, frame_id, stamp))
-            self.sent += 1
             time.sleep(0.0005)      # no faster than a real tracker
 
     def message(self, position: np.ndarray, frame_id: str, stamp: Any) -> Any:
@@ -161,11 +159,20 @@ class Tracker:
 
     def await_processed(self, points: int) -> None:
         """Wait until the node has processed this number of points, even if it ignores them."""
-        for publisher in self._publishers.values():
-            assert publisher.wait_for_all_acked(Duration(seconds=10.0))
+        self._await_acknowledged()
         # its executor takes a waiting point of each topic before it serves a request
         for _ in range(points + 1):
             self.client.ask('undo')
+
+    def await_taken(self) -> None:
+        """Wait until the node has taken all points that were sent; this changes nothing."""
+        self._await_acknowledged()
+        for _ in range(2):      # all points that wait are taken before a request is served
+            self.client.state()
+
+    def _await_acknowledged(self) -> None:
+        for publisher in self._publishers.values():
+            assert publisher.wait_for_all_acked(Duration(seconds=10.0))
 
     def touch_landmarks(self, T_moved: np.ndarray) -> None:
         """Hold the tip at each landmark, and capture it."""

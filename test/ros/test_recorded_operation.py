@@ -185,8 +185,8 @@ def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: 
 
 
 def test_an_operation_is_replayed_from_service_events(
-        shared_node: NodeProcess, tracker: Tracker, parameters: dict[str, Any],
-        recorder: Callable[..., RecorderProcess], tmp_path: Path) -> None:
+        shared_node: NodeProcess, tracker: Tracker, recorder: Callable[..., RecorderProcess],
+        tmp_path: Path) -> None:
     client, name = tracker.client, shared_node.name
     wrong = client.set_parameters(Parameter('service_configure_introspection', value='on'))
     assert wrong == ('service_configure_introspection must be one of disabled, metadata, contents, '
@@ -195,29 +195,18 @@ def test_an_operation_is_replayed_from_service_events(
                                                value='contents'))
     running = recorder('/probe/tip', f'{name}/*/_service_event')
     running.await_topics('/probe/tip', *(f'{name}/{service}/_service_event' for service in (
-        'clear', 'collect', 'capture_landmark', 'register', 'undo', 'set_parameters_atomically')))
-    begin = tracker.sent        # the session was cleared
-
-    def settle() -> None:
-        """Wait until no sample is on the way, so that the recorder has the order of the node."""
-        client.spin_until(lambda: int(client.status()['received']) >= tracker.sent - begin,
-                          'samples were lost')
+        'clear', 'collect', 'register', 'undo', 'set_parameters_atomically')))
     running.await_samples(tracker)
-    settle()
+    tracker.await_taken()       # so that the recorder has samples and requests in the node's order
     assert client.ask('clear').success
-    begin = tracker.sent
-    for place in tracker.truth.landmarks_tracker[:3]:
-        tracker.send(np.tile(place, (50, 1)))
-        settle()
-        assert client.ask('capture_landmark').success
-
     def drag(rows: slice) -> None:
         client.collect(True)
         tracker.send(tracker.positions[rows], tracker.steps[rows])
-        settle()
+        tracker.await_taken()
         client.collect(False)
     drag(slice(250))
-    assert not client.set_parameters(Parameter('gate.min_distance', value=0.001))
+    assert not client.set_parameters(Parameter('gate.min_distance', value=0.001),
+                                     Parameter('search.rotations', value=50))
     drag(slice(250, None))
     assert client.ask('register').success
     client.collect(True)
@@ -227,12 +216,11 @@ def test_an_operation_is_replayed_from_service_events(
     code, out, error = running.end()
     assert code == 0, out + error
     assert not client.set_parameters(Parameter('gate.min_distance', value=0.0),
+                                     Parameter('search.rotations', value=200),
                                      Parameter('service_configure_introspection',
                                                value='disabled'))
     config = tmp_path / 'node.yaml'
-    config.write_text(json.dumps({'registration': {'ros__parameters': {
-        'collect.automatic': False, 'landmarks.names': parameters['landmarks.names'],
-        'landmarks.positions': json.loads(parameters['landmarks.positions'])}}}))
+    config.write_text('registration: {ros__parameters: {collect: {automatic: false}}}')
     document = replayed(running.bag, tmp_path, '--config', str(config))
     note, = document['recording']['notes']
     assert note.startswith(f'what the operator did is read from the service events of {name}')
