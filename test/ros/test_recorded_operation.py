@@ -164,12 +164,12 @@ def test_an_operation_is_replayed_to_the_bit(shared_node: NodeProcess, tracker: 
     (tmp_path / 'fast.yaml').write_text('live: {enabled: false}')     # it changes no result
     document = replayed(running.bag, tmp_path, '--mcap', str(tmp_path / 'topics'), '--config',
                         str(tmp_path / 'fast.yaml'))
-    assert_same_topics(tmp_path / 'topics', running.bag, name)
     assert document['recording'] == {'complete': True, 'notes': []}
     T = np.array(document['T_tracker_bone'])
     again = ros.pose_with_covariance_msg(T, document['covariance'], pose.header.frame_id,
                                          pose.header.stamp)
     assert again == pose        # every bit of pose and covariance
+    assert_same_topics(tmp_path / 'topics', running.bag, name)
     found = document['points']
     assert [str(found[key]) for key in ('used', 'inliers')] == [status['used'], status['inliers']]
     # the counts add up in JSON, on the console and in the status
