@@ -10,12 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsdf_registration.cli.inputs import field_or_refusal, read_recording
 from gsdf_registration.cli.main import main
 from gsdf_registration.cli.simulate import ARRAY_TOPIC, REGIONS
 from gsdf_registration.cli.simulate_tool import TOPICS
 from gsdf_registration.cli.simulation_options import ARRAY_FRAME, STRUCTURED
-from gsdf_registration.common.rigid import inverse, transform
+from gsdf_registration.common.config import Config
+from gsdf_registration.common.rigid import inverse, rms_displacement, transform
 from gsdf_registration.common.tool_pose import tip_positions
+from gsdf_registration.field import Field
+from gsdf_registration.search.global_search import find_start_poses
+from gsdf_registration.session.replay import replay_events
 from gsdf_registration.simulation.ball_tip import BallContact
 from gsdf_registration.simulation.interference import Interference
 from gsdf_registration.simulation.regions import RADIUS
@@ -169,3 +174,20 @@ def test_overwrites_nothing(hip_bone: Path, tmp_path: Path,
     assert simulate(hip_bone, tmp_path / 'run') == 2
     assert 'exists already' in capsys.readouterr().err
     assert list(tmp_path.rglob('*')) == [tmp_path / 'run']
+
+
+def test_the_search_finds_the_bone_among_the_ways_of_a_tool_through_the_air(
+        bags: Path, tmp_path: Path) -> None:
+    assert simulate(bags / 'hip.ply', tmp_path / 'stream', '--tool-poses', '--seed', '22') == 0
+    config = Config.from_flat({
+        'model.path': str(bags / 'hip.ply'), 'probe.tip': [0.012, -0.021, 0.148],
+        'reference.topic': '/array/measured_cp'})
+    field = field_or_refusal(config)
+    assert isinstance(field, Field)
+    recording = read_recording(str(tmp_path / 'stream'), config, ['/probe/measured_cp'], '')
+    replayed = replay_events(recording, field, lambda *_: config, None, None)
+    points = replayed.session.points().positions
+    T_bone_tracker = inverse(read_truth(tmp_path / 'stream.yaml').T_tracker_bone)
+    # also without the filter of isolated points, which a registration applies before the search
+    found = find_start_poses(points, field, config.search)
+    assert min(rms_displacement(T, T_bone_tracker, points) for T in found) < 0.002
