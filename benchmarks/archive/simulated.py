@@ -51,7 +51,8 @@ def simulate_archive(folder: Path, model: Path, count: int, seed: int,
             rng = np.random.default_rng([seed, number])
             bag = folder / f'{number // 1000:04d}' / f'case_{number:06d}'
             bag.parent.mkdir(exist_ok=True)
-            scan = simulate_scan(patch, POINTS, rng, T_tracker_bone=random_pose(rng, translation=0.3))
+            T = random_pose(rng, translation=0.3)
+            scan = simulate_scan(patch, POINTS, rng, T_tracker_bone=T)
             with BagWriter(bag) as writer:
                 for stamp, position in zip(scan.stamps, scan.positions):
                     writer.write_point('/probe/tip', START + float(stamp), position, FRAME)
