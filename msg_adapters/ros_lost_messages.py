@@ -14,8 +14,8 @@ class LostMessages:
     """
     The messages of one subscription that were lost before the node could take them.
 
-    The event of the middleware is read now and then. Waiting for it, as rclpy does, would take a
-    third of the time to receive a point.
+    The event of the middleware is read from time to time. Waiting for it, as rclpy does, would take
+    a third of the time to receive a point.
     """
 
     def __init__(self, subscription: Subscription) -> None:

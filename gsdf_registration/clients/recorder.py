@@ -71,7 +71,7 @@ class Recorder:
                 if not any(fnmatchcase(name, topic) for name in self._subscriptions)]
 
     def step(self, timeout: float) -> None:
-        """Receive messages for a moment, look for topics, and write to the disk now and then."""
+        """Receive messages for a moment, look for topics, and write to the disk once a second."""
         now = time.monotonic()
         if now - self._looked >= LOOK:
             self._looked = now

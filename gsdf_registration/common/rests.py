@@ -25,7 +25,7 @@ NOISE_RADII = 4.0           # standard deviations of the noise in the radius
 # A stay goes on after at most this many positions elsewhere: outliers, or the tip of another probe
 MEMORY = 8
 MIN_STAY = 5                # positions at a rest
-# times the positions of a slow passage: a hand on a bone is that slow now and then
+# times the positions of a slow passage: a hand on a bone is sometimes that slow
 LINGERING = 2.0
 SLOW = 0.9                  # quantile of the passages that is slow
 SAME_PLACE = 0.5            # radii between the halves of a rest

@@ -114,7 +114,7 @@ def assess_all_points(points: Points,
     guess : (4, 4) float, optional
         T_bone_tracker; the search starts here.
     evidence : Evidence
-        What is known of the pose beside the points.
+        What is known of the pose besides the points.
     previous_reasons : of Refusal
         Result if there is neither a search nor a pose to follow.
     cancelled : callable

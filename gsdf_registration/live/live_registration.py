@@ -164,7 +164,7 @@ class LiveRegistration:
         guess : (4, 4) float, optional
             T_bone_tracker; the search starts here.
         evidence : Evidence
-            What is known of the pose beside the points.
+            What is known of the pose besides the points.
 
         """
         self._assessed_revision = self.revision

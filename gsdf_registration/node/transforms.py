@@ -3,8 +3,8 @@
 Subscriptions to /tf and /tf_static.
 
 The buffer is `Frames` and not the one of tf2_ros: tf2_ros has no wheel and interpolates over gaps
-of any length.  So a ROS install and wheels, the node and the offline replay behave alike, and /tf
-follows the same rules as the reference array.
+of any length. So a ROS install and wheels, the node and the offline replay behave in the same way,
+and /tf follows the same rules as the reference array.
 """
 
 from __future__ import annotations

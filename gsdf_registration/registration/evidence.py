@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of the pose beside the points on the surface."""
+"""What is known of the pose besides the points on the surface."""
 
 from __future__ import annotations
 

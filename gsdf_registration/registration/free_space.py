@@ -28,7 +28,7 @@ TOLERATED = 2.0     # standard deviations inside the bone at which half of the p
 CLEARLY_INSIDE = 0.003      # m
 WRONG = 0.1         # share of wrong readings: a place costs at most log(0.1) = -2.3
 # Log-likelihood that the places cost at most, twice the usual `limits.min_gap`. They decide between
-# poses that fit the points alike, and not against the points.
+# poses that fit the points equally well, and not against the points.
 MOST = 48.0
 
 NO_PLACES = np.zeros((0, 3))

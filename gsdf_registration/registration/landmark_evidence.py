@@ -42,8 +42,9 @@ OUTLIER = 3.0       # standard deviations of a point that hardly counts while a 
 ON_BONE = 0.003     # m: a landmark so near to the surface is one that is touched
 MOST_MISTAKES = 3   # that are found at once; more are found one after the other
 # Log-likelihood that a mistake costs a pose. A landmark that fits costs at most half the square of
-# `MISTAKE`, 8, so one that fits decides between two poses that fit the points alike, for which the
-# default of `limits.min_gap` is 24; one mistake alone does not outweigh points that fit one pose.
+# `MISTAKE`, 8, so one that fits decides between two poses that fit the points equally well, for
+# which the default of `limits.min_gap` is 24; one mistake alone does not outweigh points that fit
+# one pose.
 MISTAKE_COST = 32.0
 # Difference in squared standard deviations below which two explanations are about as likely. If it
 # is not clear which landmark is the mistake, none of them is used.

@@ -93,7 +93,7 @@ def solve_all(points: Array,
     touches : (t,) float
         Relative noise of the last t points, which are touches.
     evidence : Evidence
-        What is known of the pose beside the points; its log-likelihood is part of each score.
+        What is known of the pose besides the points; its log-likelihood is part of each score.
 
     Raises
     ------

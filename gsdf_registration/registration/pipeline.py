@@ -74,7 +74,7 @@ def register(points: ArrayLike,
         Three or more give an initial guess.
     air : (m, 3) float, metres, tracker frame, optional
         Where the tip or the shaft has been while not on the bone, which cannot be there: it helps
-        to choose between poses that fit the points alike.
+        to choose between poses that fit the points equally well.
     T_tracker_bone : (4, 4) float, metres, optional
         The initial guess itself.
     cancelled : callable, optional
@@ -271,7 +271,7 @@ def find_candidate(points: Array,
         Poses to solve from in addition to those that the search finds. The search covers the
         surroundings of the first one, or the whole bone if there is none.
     evidence : Evidence
-        What is known of the pose beside the points.
+        What is known of the pose besides the points.
     cancelled, progress, history
         As in `register`.
     touches : (t,) float

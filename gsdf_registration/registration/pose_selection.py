@@ -95,7 +95,7 @@ def select_pose(solutions: Sequence[Solution], points: Array, field: Field,
     field : Field
     config : Config
     evidence : Evidence
-        What is known of the pose beside the points.
+        What is known of the pose besides the points.
 
     """
     best = max(solutions, key=lambda solution: solution.rank)

@@ -14,7 +14,7 @@ from gsdf_registration.visualization.report_content import ReportContent
 
 WIDTH, HEIGHT = 900, 200        # of a plot, units of its view box
 LEFT, RIGHT, TOP, BOTTOM = 64, 10, 20, 20       # margins
-MOST_DOTS = 4000                # more cannot be told apart
+MOST_DOTS = 4000                # more cannot be distinguished
 BINS = 6                        # colours of the dots
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Test that the bones of a mesh are told apart, and one of them is chosen."""
+"""Test that the bones of a mesh are distinguished, and one of them is chosen."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ EM = """Tools,LABEL,Frame,Time [sec],Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers
 1,LABEL,132,12.100,1,,0,0,0,0,0,0,0,0
 1,LABEL,140
 """.replace('LABEL', LABEL)
-# an optical tracker with two tools and their markers; line 2 lacks a marker of the first tool
+# an optical tracker with two tools and their markers; in line 2 a marker of the first is missing
 BLOCK = ('Frame,Time [sec],Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,Markers,'
          'State,Tx,Ty,Tz,State,Tx,Ty,Tz')
 OPTICAL = f"""Tools,Port 0x01: Probe,{BLOCK},Port 0x02: Array,{BLOCK}

@@ -313,7 +313,7 @@ def test_the_order_of_the_sources_does_not_matter(order: list[int], random) -> N
         at = dict.fromkeys(range(3), 0)
         for source in turns:
             i = at[source] = at[source] + 1
-            y = 1.0 if i % 7 == 3 else 0.0      # an outlier now and then
+            y = 1.0 if i % 7 == 3 else 0.0      # one outlier in seven points
             c.add_point(i / RATE if i % 5 else 0.0, (path(i)[0], y, float(source)), 'cam', source)
         points = c.points()
         return c.counts, [

@@ -49,7 +49,7 @@ def known(session: dict[str, Any]) -> dict[str, Any]:
     """
     Return the part of a record that events reproduce.
 
-    It lacks settings, counts of 0, and the frame while there is nothing in it.
+    It has no settings, no counts of 0, and the frame while there is nothing in it.
     """
     content = len(session['points']) or session['landmarks'] or session['verifications']
     frames = session['frames']

@@ -3,7 +3,7 @@
 Peers that state how accurate a pose is: each returns the motion and its covariance (6, 6).
 
 The covariance is of a rotation and a translation after the motion, in that order, about the origin
-of the bone frame. All are told the true noise.
+of the bone frame. All are given the true noise.
 """
 
 from __future__ import annotations
