@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import jobs
@@ -72,7 +73,9 @@ def test_interruption_keeps_rows_and_leaves_no_process(tmp_path: Path, how: sign
     script.write_text(STOPPED)
     run = subprocess.Popen([sys.executable, str(script), str(table), str(Path(__file__).parent)],
                            env={**os.environ, 'PYTHONPATH': str(Path(__file__).parents[2])},
-                           stderr=subprocess.PIPE, start_new_session=True)
+                           stderr=subprocess.PIPE, start_new_session=True,
+                           # a shell ignores it for jobs in the background, and so would this one
+                           preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL))
     wait_until(lambda: table.exists() and table.read_text().count('\n') == 3)
     run.send_signal(how)
     assert run.wait(20) != 0
