@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from gsdf_registration.common.formatting import format_count
@@ -60,7 +59,7 @@ def load_surface(path: Path) -> Surface:
     vertices = np.concatenate([body.vertices for body in bodies]).astype(np.float64)
     starts = np.concatenate([[0], np.cumsum([len(body.vertices) for body in bodies])])
     parts = [body.faces + start for body, start in zip(bodies, starts)
-             if isinstance(body, trimesh.Trimesh)]
+             if hasattr(body, 'faces')]
     faces = np.concatenate(parts).astype(np.int64) if parts else np.zeros((0, 3), np.int64)
     if kind in _CHECKS:
         _CHECKS[kind](path, bodies, len(faces))
@@ -73,6 +72,7 @@ def load_surface(path: Path) -> Surface:
 
 def _bodies(path: Path) -> list[Any]:
     """Return the bodies of a file as trimesh reads them, in one frame, without processing."""
+    import trimesh  # takes 0.4 s, for which commands without a mesh need not wait
     try:
         with warnings.catch_warnings():
             # older NumPy versions only warn about an incomplete line
