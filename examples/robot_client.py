@@ -11,7 +11,6 @@ import sys
 import rclpy
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 
@@ -103,8 +102,11 @@ def main() -> int:
     print(f'waiting for {robot.topic}', flush=True)
     try:
         rclpy.spin(robot)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         pass
+    except Exception:
+        if rclpy.ok():      # else a signal has shut rclpy down, perhaps in the middle of a call
+            raise
     finally:
         robot.stop('the client ends')
     return 0

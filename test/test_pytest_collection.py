@@ -22,7 +22,7 @@ def run_pytest(*arguments: str, without: str = '') -> str:
     paths = os.pathsep.join([str(TEST), os.environ.get('PYTHONPATH', '')])
     done = subprocess.run([sys.executable, '-c', code], cwd=TEST.parent, text=True,
                           env={**os.environ, 'PYTHONPATH': paths},
-                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=100.0)
     assert done.returncode == 0, done.stdout
     return done.stdout
 
