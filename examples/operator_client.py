@@ -102,5 +102,9 @@ def main() -> int:
 if __name__ == '__main__':
     try:
         sys.exit(main())
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except Exception:
+        if rclpy.ok():      # else a signal has shut rclpy down, perhaps in the middle of a call
+            raise
         sys.exit(130)
