@@ -186,6 +186,12 @@ def weakest_direction_msg(direction: WeakestDirection) -> Any:
         translation_sigma=float(direction.translation_sigma_m))
 
 
+def guidance_content(touches: Sequence[NextTouch], sentence: str) -> tuple[Any, ...]:
+    """Return what `guidance_msg` says, to find out whether it has changed."""
+    return (sentence, *((*touch.position, touch.predicted_tre, touch.current_tre)
+                        for touch in touches))
+
+
 def guidance_msg(touches: Sequence[NextTouch], sentence: str, bone_frame_id: str,
                  stamp: Time) -> Any:
     """Return the Guidance message of places to touch next, best first."""

@@ -11,7 +11,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from gsdf_registration import __version__
@@ -182,7 +181,8 @@ def _shown(value: Any) -> str:
 
 @lru_cache(maxsize=4096)
 def _hash_of_file(path: str) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    from msg_adapters.files import sha256_of
+    return sha256_of(path)
 
 
 def _hash(value: Any) -> str:

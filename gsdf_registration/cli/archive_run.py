@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -25,7 +24,7 @@ from gsdf_registration.cli.archive_row import (
 )
 from gsdf_registration.common.command_line import counting_bar
 from gsdf_registration.common.formatting import format_count
-from gsdf_registration.common.process_pool import Died, run_processes
+from gsdf_registration.common.process_pool import Died, run_processes, threads_each
 from gsdf_registration.common.result import InputError, Reason
 
 DIED = ('the process that registered it ended without an answer: too little memory, or an error '
@@ -42,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError('--jobs is for this machine, --scheduler for a cluster; give one of them')
     outputs.require_report(args.report)
     workers = args.jobs or 1
-    jobs = jobs_of(args, 1 if args.scheduler else max((os.cpu_count() or 1) // workers, 1))
+    jobs = jobs_of(args, 1 if args.scheduler else threads_each(workers))
     if not table.has_pyarrow():
         print(f'note: {table.PARQUET} is not written: it needs pyarrow, which is not installed: '
               "pip install 'gsdf_registration[dask]'", file=sys.stderr)

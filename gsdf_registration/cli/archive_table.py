@@ -200,9 +200,9 @@ def read_settings(folder: Path) -> dict[str, dict[str, Any]]:
         If the file is missing or damaged.
 
     """
-    from msg_adapters.files import read_text
+    from msg_adapters.files import read_json
     path = folder / SETTINGS
     try:
-        return {key: dict(each['config']) for key, each in json.loads(read_text(path)).items()}
+        return {key: dict(each['config']) for key, each in read_json(path).items()}
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f'{path} is damaged; run gsdf replay --output again') from None

@@ -74,7 +74,7 @@ def timed_field(config: Config) -> tuple[Field | Refusal, float]:
 @functools.lru_cache(maxsize=2)
 def _loaded(path: str, unit: str, voxel_size: float, label: str, body: str,
             stamp: tuple[int, int]) -> tuple[Field | Refusal, float]:
-    """Load a field; ``stamp`` of the file tells its versions apart."""
+    """Load a field; ``stamp`` of the file distinguishes its versions."""
     from gsdf_registration.field.model import load_model
     started = time.perf_counter()
     field: Field | Refusal

@@ -143,10 +143,10 @@ def _outcomes(bags: list[str], args: argparse.Namespace) -> Iterator[Outcome]:
     if workers == 1:
         yield from (replay_bag(bag, args) for bag in bags)
         return
-    from gsdf_registration.common.process_pool import Died, run_processes
+    from gsdf_registration.common.process_pool import Died, run_processes, threads_each
     own = argparse.Namespace(**{name: value for name, value in vars(args).items()
                                 if name != 'run'})
-    work = partial(replay_bag, args=own, threads=max((os.cpu_count() or 1) // workers, 1))
+    work = partial(replay_bag, args=own, threads=threads_each(workers))
     waiting, following = dict[int, Outcome](), 0
     with closing(run_processes(work, bags, workers)) as answers:
         for number, answer in answers:

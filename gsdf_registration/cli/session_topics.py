@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsdf_registration.common.naming import centre_frame
 from gsdf_registration.common.operator_event import OperatorEvent
 from gsdf_registration.common.result import NextTouch
-from gsdf_registration.common.rigid import Array, from_rt
+from gsdf_registration.common.rigid import Array
 from gsdf_registration.common.samples import Points, Sample
 from gsdf_registration.field import Field
 from gsdf_registration.live import LivePose, LiveStatus
@@ -26,7 +25,7 @@ from gsdf_registration.live.assessment import FullAssessment
 from gsdf_registration.session import Session
 from gsdf_registration.session.status import Status
 from gsdf_registration.session.status_values import level_name, shown_message, status_values
-from gsdf_registration.visualization.marker_scene import MarkerScene, centre_of
+from gsdf_registration.visualization.marker_scene import MarkerScene, centre_msg
 from msg_adapters import messages, results, ros, stamps
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.marker_cdr import Marker, to_bytes
@@ -71,9 +70,8 @@ class SessionTopics:
 
     def write_centre(self) -> None:
         """Write the frame at the centre of the bone."""
-        self._write('/tf_static', messages.tf_message([ros.transform_msg(
-            from_rt(np.eye(3), centre_of(self._field)), self._frame,
-            centre_frame(self._frame), self._stamp)]))
+        self._write('/tf_static', messages.tf_message([centre_msg(self._field, self._frame,
+                                                                  self._stamp)]))
 
     def write_tip(self, sample: Sample) -> None:
         """Write the tip, in the frame of the points."""
@@ -150,7 +148,7 @@ class SessionTopics:
 
     def write_guidance(self, touches: Sequence[NextTouch] = (), sentence: str = '') -> None:
         """Write where to touch next, if that has changed."""
-        guidance = (sentence, *((*touch.position, touch.predicted_tre) for touch in touches))
+        guidance = results.guidance_content(touches, sentence)
         if results.available() and guidance != self._guidance:
             self._guidance = guidance
             self._write(f'{NODE}/guidance', results.guidance_msg(touches, sentence, self._frame,

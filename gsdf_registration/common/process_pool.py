@@ -82,6 +82,11 @@ def _run_pool(work: Callable[[Job], Answer], jobs: Iterator[tuple[int, Job]], wo
         pool.shutdown(cancel_futures=True)
 
 
+def threads_each(workers: int) -> int:
+    """Return how many threads each of some processes may use, so that all use every core once."""
+    return max((os.cpu_count() or 1) // workers, 1)
+
+
 def start_worker() -> None:
     """Ignore Ctrl-C, which the parent handles, and exit when the parent exits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from rclpy.lifecycle import LifecycleNode
 
 try:
@@ -11,12 +10,9 @@ try:
 except ImportError:     # there is no wheel of it; a ROS installation has it
     TFMessage = None
 
-from gsdf_registration.common.naming import centre_frame
-from gsdf_registration.common.rigid import from_rt
 from gsdf_registration.field import Field
 from gsdf_registration.node.qos import LATCHED, UNWATCHED
-from gsdf_registration.visualization.marker_scene import centre_of
-from msg_adapters import ros
+from gsdf_registration.visualization.marker_scene import centre_msg
 
 
 class CentreFrame:
@@ -36,9 +32,8 @@ class CentreFrame:
     def show(self, field: Field) -> None:
         """Publish the centre of this bone."""
         if self._publisher is not None:
-            self._publisher.publish(TFMessage(transforms=[ros.transform_msg(
-                from_rt(np.eye(3), centre_of(field)), self._bone_frame,
-                centre_frame(self._bone_frame), self._node.get_clock().now().to_msg())]))
+            self._publisher.publish(TFMessage(transforms=[centre_msg(
+                field, self._bone_frame, self._node.get_clock().now().to_msg())]))
 
     def destroy(self) -> None:
         """Destroy the publisher."""

@@ -59,8 +59,7 @@ class ResultPublishers:
 
     def guide(self, touches: Sequence[NextTouch] = (), sentence: str = '') -> None:
         """Publish where to touch next, if that has changed."""
-        guidance = (sentence, *((*touch.position, touch.predicted_tre, touch.current_tre)
-                                for touch in touches))
+        guidance = results.guidance_content(touches, sentence)
         if self._publishers and guidance != self._guidance:
             self._guidance = guidance
             self._publishers[1].publish(results.guidance_msg(

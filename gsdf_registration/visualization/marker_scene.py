@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from gsdf_registration.common.config import LimitsConfig
+from gsdf_registration.common.naming import centre_frame
 from gsdf_registration.common.result import NextTouch
-from gsdf_registration.common.rigid import Array
+from gsdf_registration.common.rigid import Array, from_rt
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import error_bound
 from gsdf_registration.registration.guidance import PATCH
@@ -17,7 +19,7 @@ from gsdf_registration.registration.point_selection import evenly_spread
 from gsdf_registration.visualization import colours
 from gsdf_registration.visualization.decimation import Faces, drawn_surface
 from gsdf_registration.visualization.zone_border import border_segments
-from msg_adapters import markers
+from msg_adapters import markers, ros
 from msg_adapters.marker_cdr import Marker
 
 MAX_FACES = 12_000      # of the bone: at 120 bytes each, a message stays below 2 MB
@@ -28,6 +30,12 @@ def centre_of(field: Field) -> Array:
     """Return the centre (3,), m, bone frame, of the box around a bone, which displays look at."""
     corners = [field.surface_points.min(axis=0), field.surface_points.max(axis=0)]
     return np.mean(corners, axis=0, dtype=np.float64)
+
+
+def centre_msg(field: Field, bone_frame: str, stamp: Any) -> Any:
+    """Return the transform from the bone frame to the frame at the centre of the bone."""
+    return ros.transform_msg(from_rt(np.eye(3), centre_of(field)), bone_frame,
+                             centre_frame(bone_frame), stamp)
 
 
 class MarkerScene:
