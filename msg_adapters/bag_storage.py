@@ -15,10 +15,9 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
-
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
+from msg_adapters.files import parse_yaml
 from msg_adapters.mcap_file import read_mcap
 from msg_adapters.ros1_bag import read_ros1_bag
 from msg_adapters.sqlite_file import read_sqlite
@@ -166,7 +165,7 @@ class BagFiles:
                                   'recorder was killed; its storage files were read')
             return files
         try:
-            known = yaml.safe_load(metadata.read_text(encoding='utf-8'))
+            known = parse_yaml(metadata.read_text(encoding='utf-8'))
             named = [self.path / Path(name).name for name in
                      known['rosbag2_bagfile_information']['relative_file_paths']]
         # noqa: BLE001 - damaged text can cause any exception

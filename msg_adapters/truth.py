@@ -13,7 +13,7 @@ import yaml
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, is_rigid
-from msg_adapters.files import METRES, read_text, write_atomically
+from msg_adapters.files import METRES, parse_yaml, read_text, write_atomically
 
 SCHEMA = 'gsdf-truth/1'
 
@@ -87,7 +87,7 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
 
     """
     try:
-        document = yaml.safe_load(read_text(path))
+        document = parse_yaml(read_text(path))
     except yaml.YAMLError:
         raise InputError(f'{path} is not valid YAML') from None
     if not isinstance(document, dict) or document.get('schema') != SCHEMA:
