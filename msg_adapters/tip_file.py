@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The tip of a probe as a settings file: ``probe.tip`` for the node and the command line.
+The tip of a probe as a settings file: ``probe.tip`` and ``probe.tip_error``.
 
-The first line identifies the file.  Accuracy, source and date are comments, because they are no
+The first line identifies the file.  Covariance, source and date are comments, because they are no
 settings.  A file that this module did not write is never replaced; one that it wrote is kept under
 another name, with its date.
 """
@@ -16,6 +16,7 @@ import numpy as np
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
+from gsdf_registration.tracking.pivot_covariance import rms_error
 from msg_adapters.files import irregular, keep_with_date, write_atomically
 from msg_adapters.session_file import now
 
@@ -72,7 +73,9 @@ def _text(tip: Array, covariance: Array, summary: str, source: str) -> str:
     comments = ''.join(f'# {" ".join(line.split())}\n' for line in about[1:])
     values = ', '.join(repr(value) for value in np.asarray(tip).tolist())
     return (f'{MARK}{about[0]}\n{comments}/**:\n  ros__parameters:\n    probe:\n'
-            f'      # position of the tip in the frame of the tool [m]\n      tip: [{values}]\n')
+            f'      # position of the tip in the frame of the tool [m]\n      tip: [{values}]\n'
+            '      # its expected error, RMS distance [m]\n'
+            f'      tip_error: {rms_error(covariance)!r}\n')
 
 
 def check_tip_path(path: str | os.PathLike[str]) -> None:

@@ -212,7 +212,8 @@ class RecordedOperation:
         if name == 'calibrate_tip' and isinstance(answer.detail, FixedPoint) and answer.success:
             assert answer.detail.point is not None
             count = len(self.services)
-            self.call('parameters', **{'probe.tip': answer.detail.point.tolist()})
+            self.call('parameters', **{'probe.tip': answer.detail.point.tolist(),
+                                       'probe.tip_error': answer.detail.rms_error})
             del self.services[count:]       # the node sets it without a service
         return answer
 

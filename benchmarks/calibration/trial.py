@@ -27,12 +27,12 @@ LOST = 0.005            # m, RMS over the exposed area: the pose is in another m
 
 def run_trial(trial: Trial, config: Config) -> Row:
     """Return the row of a trial; SI units."""
-    problem = make(trial)
+    problem, config = make(trial), config.replaced(trial.scenario.settings)
     selection = select_points(problem.recording.positions, config.collect.mode)
     points, field = selection.positions, problem.field
     solutions = solve_all(points, field, [start_pose(problem)], config, touches=selection.touches)
     solution = select_pose(solutions, points, field, config).solution
-    confidence = assess_at(solution, points, field, config.solver)
+    confidence = assess_at(solution, points, field, config.probe.tip_error)
     motion = solution.T_bone_tracker @ problem.recording.T_tracker_bone
     return {'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,
             **compared(confidence, motion, problem),
@@ -94,4 +94,4 @@ def _chi_square(motion: Array, confidence: Confidence) -> float:
     """Return e^T C^-1 e of the error e of a pose."""
     m = confidence.centroid
     e = np.concatenate([rigid.rotation_log(motion[:3, :3]), rigid.transform(motion, m) - m])
-    return float(e @ np.linalg.solve(confidence.motion_covariance, e))
+    return float(e @ np.linalg.solve(confidence.total_covariance, e))

@@ -119,7 +119,7 @@ def attainable(problem: Problem) -> Confidence:
 
     The deviation is a Gaussian process of known standard deviation and length, so no method can
     subtract it: generalized least squares with its covariance K attains
-    C = (J^T (S + K)^-1 J)^-1.
+    C = (J^T (S + K)^-1 J)^-1. The error of the tip is added to that.
 
     Raises
     ------
@@ -133,7 +133,8 @@ def attainable(problem: Problem) -> Confidence:
     sd, length = SMOOTH.get(word, (sd, LENGTH))
     V = np.diag(variance) + sd**2 * np.exp(-0.5 * (cdist(x, x) / length)**2)
     C = np.asarray(np.linalg.inv(J.T @ np.linalg.solve(V, J)), np.float64)
-    return replace(confidence, motion_covariance=C)
+    return replace(confidence, motion_covariance=C,
+                   tip_error=problem.trial.scenario.settings['probe.tip_error'])
 
 
 def _linearized(problem: Problem) -> tuple[Array, Array, Confidence]:

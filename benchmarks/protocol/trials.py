@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.protocol import hard_cases, touching
 from benchmarks.protocol.cases import KIND, Case, between_scans, bone, region_patch, surface
-from benchmarks.protocol.real_models import REAL_MODELS, model_of, with_deviation
+from benchmarks.protocol.real_models import REAL_MODELS, TIP_ERROR, model_of, with_deviation
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.simulation.ball_tip import with_ball_tip
@@ -68,6 +68,12 @@ class Scenario:
         """Whether the points are not of the model, so that every pose is wrong."""
         return self.hard in IMPOSSIBLE
 
+    @property
+    def settings(self) -> dict[str, float]:
+        """What the user of such a probe sets."""
+        return {'probe.tip_radius': self.tip_radius,
+                'probe.tip_error': TIP_ERROR if self.real_model == 'tip_off' else 0.0}
+
     def suits(self, region: str) -> bool:
         """Return whether the scenario is possible in a region; shafts count for one region only."""
         return region in {'cup_only': ('acetabulum',),
@@ -96,7 +102,8 @@ SCENARIOS = {scenario.name: scenario for scenario in (
         ('rest_on', (0.0, 0.0)), ('rest_beside', (0.001, 0.01)), ('rest_far', (0.05, 0.3)))),
     *(Scenario(word + optical, sigma=sigma, real_model=word) for word in REAL_MODELS
       for optical, sigma in (('', SIGMA), ('_optical', OPTICAL))),
-    *(Scenario(word, hard=word) for word in POSSIBLE + IMPOSSIBLE))}
+    *(Scenario(word, hard=word) for word in POSSIBLE + IMPOSSIBLE),
+    *(Scenario(f'{word}_optical', sigma=OPTICAL, hard=word) for word in IMPOSSIBLE[:-1]))}
 
 
 @dataclass(frozen=True)

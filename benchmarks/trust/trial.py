@@ -34,7 +34,7 @@ LENIENT = {'limits.max_error': 1.0, 'limits.min_gap': 0.0,
 def run_trial(trial: Trial, config: Config) -> Row:
     """Return the row of a trial: the problem, the answer and its errors; SI units."""
     problem = make(trial)
-    config = config.replaced({'probe.tip_radius': trial.scenario.tip_radius})
+    config = config.replaced(trial.scenario.settings)
     result = register(problem.recording.positions, problem.field, config,
                       landmarks=given_landmarks(problem))
     return trial_row(problem, result, config)

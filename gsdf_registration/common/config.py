@@ -92,6 +92,9 @@ class ProbeConfig:
     tip_radius: float = setting(0.0, 'radius of the ball at the end of the probe, if the positions '
                                 'of the tip are those of its centre; 0: a sharp tip', 'm', 0.0,
                                 0.01)
+    tip_error: float = setting(0.0, 'expected error of the position of the tip, as from its '
+                               'calibration, RMS distance; the same at every touch, so it adds to '
+                               'the stated error of the pose', 'm', 0.0, 0.01)
     shaft: list[float] = setting(
         [], 'direction of the shaft in the frame of the tool, x y z, from the tip to the handle; '
         'empty: not known', items=float)

@@ -179,7 +179,7 @@ def _follow(used: PointSelection, field: Field, config: Config, previous: Soluti
     pose = WarmPose(points, field, replace(previous, touches=used.touches), config,
                     evidence.landmarks.measured)
     if pose.confidence is None:
-        pose.confidence = assess_at(pose.solution, points, field, config.solver)
+        pose.confidence = assess_at(pose.solution, points, field, config.probe.tip_error)
     residuals = field.sample(rigid.transform(pose.solution.T_bone_tracker, points))[0]
     selected = SelectedPose(pose.solution, residuals, [], landmarks=pose.landmark_fits)
     candidate = assess_candidate(selected, pose.confidence, points, field, config)

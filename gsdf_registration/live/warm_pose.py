@@ -72,7 +72,8 @@ class WarmPose:
                                               self._config.model.surface_error)
         if not len(self._landmarks):
             return
-        alone = assess(self.solution, self.points, self._neighbourhood.indices)
+        alone = assess(self.solution, self.points, self._neighbourhood.indices,
+                       self._config.probe.tip_error)
         if alone is not None:
             self.solution, self.confidence, self.landmark_fits = fuse(
                 self.solution, alone, self.points, self._field, self._landmarks)

@@ -225,17 +225,20 @@ class RegistrationNode(PreparedLifecycleNode):
             self._inputs.clear()
         return self.session.clear()
 
-    def set_tip(self, tip: list[float]) -> None:
-        """Set ``probe.tip``, (3,) m; raise `InputError` if it cannot be set."""
-        (result,) = self.set_parameters([Parameter('probe.tip', Parameter.Type.DOUBLE_ARRAY, tip)])
-        if not result.successful:
-            raise InputError(f'probe.tip is not set: {result.reason}')
+    def set_tip(self, tip: list[float], error: float | None) -> None:
+        """Set ``probe.tip``, (3,) m, and ``probe.tip_error``, m; `InputError` if that fails."""
+        changes = [Parameter('probe.tip', Parameter.Type.DOUBLE_ARRAY, tip)]
+        if error is not None:
+            changes.append(Parameter('probe.tip_error', Parameter.Type.DOUBLE, error))
+        for change, result in zip(changes, self.set_parameters(changes)):
+            if not result.successful:
+                raise InputError(f'{change.name} is not set: {result.reason}')
 
     def adopt_tip(self) -> None:
         """Set ``probe.tip`` to that of a session that was loaded, see `SessionState.restore`."""
         tip = self.session.config.probe.tip
         if tip != list(self.get_parameter('probe.tip').value):
-            self.set_tip(tip)
+            self.set_tip(tip, None)
             self.get_logger().info('probe.tip was not set; that of the session is used')
 
     def publish_status(self) -> None:

@@ -68,8 +68,8 @@ class ServiceNode(Protocol):
     def clear(self) -> Answer:
         """Start a new session."""
 
-    def set_tip(self, tip: list[float]) -> None:
-        """Set ``probe.tip``, (3,) m; raise `InputError` if it cannot be set."""
+    def set_tip(self, tip: list[float], error: float | None) -> None:
+        """Set ``probe.tip``, (3,) m, and ``probe.tip_error``, m; `InputError` if that fails."""
 
     def adopt_tip(self) -> None:
         """Set ``probe.tip`` to that of a session that was loaded."""
@@ -253,9 +253,10 @@ class Services:
 
     async def calibrate_tip(self, _: Trigger.Request) -> Answer:
         """
-        Start to calibrate the tip of the probe; the next call ends it, and sets ``probe.tip``.
+        Start to calibrate the tip of the probe; the next call ends it and sets the tip.
 
-        The tip is also written beside ``session.path``, see `SessionFiles.save_tip`.
+        ``probe.tip`` and ``probe.tip_error`` are also written beside ``session.path``, see
+        `SessionFiles.save_tip`.
         """
         node, session = self._node, self._node.session
         answer = await self._start_or_end(session, CalibrationKind.TIP)
@@ -264,9 +265,9 @@ class Services:
             return answer
         if session is not node.session:
             return Answer(False, 'the node was stopped during the calibration; nothing is set')
-        node.set_tip(found.point.tolist())
+        node.set_tip(found.point.tolist(), found.rms_error)
         written = await self._in_background(lambda: node.files.save_tip(session, found))
-        return Answer(True, f'{answer.message}; probe.tip is set{written}')
+        return Answer(True, f'{answer.message}; probe.tip and probe.tip_error are set{written}')
 
     async def find_joint_centre(self, _: Trigger.Request) -> Answer:
         """Start to find the centre of a joint from swinging; the next call ends it."""

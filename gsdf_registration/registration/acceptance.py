@@ -14,6 +14,7 @@ from gsdf_registration.common.result import NextTouch, Reason, Refusal
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.candidate import Candidate
+from gsdf_registration.registration.confidence import Confidence
 from gsdf_registration.registration.free_space import Blocked
 from gsdf_registration.registration.guidance import distinguishing_touch, next_touches
 from gsdf_registration.registration.landmarks import MIN_LANDMARKS, named_points
@@ -182,6 +183,14 @@ def _check_error(candidate: Candidate, touched: Array, field: Field,
     assert candidate.errors is not None
     part, limit = required_part(candidate.errors, config), config.limits.max_error
     if part.p95 <= limit:
+        return
+    tip = float(Confidence(np.zeros((6, 6)), np.zeros(3), 0.0, 1.0,
+                           tip_error=config.probe.tip_error).p95(np.zeros((1, 3)))[0])
+    if tip > limit:
+        yield Refusal(Reason.UNDER_CONSTRAINED,
+                      f'the error of the tip may be {format_length(tip)} (95 %), '
+                      f'{format_length(limit)} is allowed for the bone; calibrate the tip again, '
+                      'or correct probe.tip_error')
         return
     touches = next_touches(candidate.confidence, field, touched, part.points, config)
     advice = _advice(touches, touched, field, config)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from gsdf_registration.common import rigid
-from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.motions import inverse, motion_between
@@ -38,14 +37,16 @@ class Confidence:
     How well the points constrain the pose.
 
     motion_covariance : (6, 6) float, of [rotation about ``centroid`` (rad), translation (m)], bone
-        axes
+        axes, without the error of the tip
     centroid : (3,) float, m, bone frame, of the points
     sigma : float, m, noise of a point along the surface normal
     residual_correlation : float, variance of the mean residual of neighbouring points over that of
-        white noise; 1 for the correct bone and an accurate tracker
+        white noise, less an offset that all points share; 1 for the correct bone and an accurate
+        tracker
     model_sd : float, m, standard deviation of the error of the model; 0 if none was found
     model_covariance : (6, 6) float, the part of ``motion_covariance`` due to this error
     landmark_information : (6, 6) float, of the landmarks, which ``motion_covariance`` includes
+    tip_error : float, m, RMS distance by which the tip is wrong, at all points and landmarks alike
     """
 
     motion_covariance: Array
@@ -55,15 +56,28 @@ class Confidence:
     model_sd: float = 0.0
     model_covariance: Array = item(default_factory=lambda: np.zeros((6, 6)))
     landmark_information: Array = item(default_factory=lambda: np.zeros((6, 6)))
+    tip_error: float = 0.0
+
+    @property
+    def total_covariance(self) -> Array:
+        """
+        Covariance (6, 6) as ``motion_covariance``, with the error of the tip.
+
+        A tool that is held about the same way shifts all points by this error, and so the bone: no
+        further touch shows or reduces it. In which direction is not known.
+        """
+        C = self.motion_covariance.copy()
+        C[[3, 4, 5], [3, 4, 5]] += self.tip_error**2 / 3.0
+        return C
 
     def predicted_tre(self, targets: Array) -> Array:
         """Return the predicted TRE (n,) (RMS, m) at ``targets`` (n, 3), m, bone frame."""
-        C = self.motion_covariance
+        C = self.total_covariance
         return _expected_length(C[3:, 3:], C[3:, :3], C[:3, :3], targets - self.centroid)
 
     def p95(self, targets: Array) -> Array:
         """Return the 95 % bound of the error (n,), m, at ``targets`` (n, 3), m, bone frame."""
-        return _bound_at(self.motion_covariance, targets - self.centroid)
+        return _bound_at(self.total_covariance, targets - self.centroid)
 
     def pose_covariance(self, T_tracker_bone: Array) -> Array:
         """
@@ -75,7 +89,7 @@ class Confidence:
         R = T_tracker_bone[:3, :3]
         G = np.zeros((6, 6))
         G[:3, :3], G[:3, 3:], G[3:, :3] = -R @ rigid.skew(self.centroid), -R, -R
-        C = G @ self.motion_covariance @ G.T
+        C = G @ self.total_covariance @ G.T
         return np.asarray(0.5 * (C + C.T))
 
 
@@ -166,7 +180,8 @@ def motion_at(arms: Array) -> Array:
     return B
 
 
-def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> Confidence | None:
+def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64],
+           tip_error: float) -> Confidence | None:
     """
     Return the confidence in a solution, or None if its points do not constrain the pose.
 
@@ -184,6 +199,8 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
         The points of the solution.
     neighbours : (s, k) int
         The points nearest to each point on a stroke, over which residuals are averaged.
+    tip_error : float, m
+        ``probe.tip_error``
 
     """
     noise, error = _noise_covariance(solution), solution.model_error
@@ -191,22 +208,25 @@ def assess(solution: Solution, points: Array, neighbours: NDArray[np.int64]) -> 
         return None
     if error is None:
         correlation = _residual_correlation(solution.weights, solution.residuals, neighbours)
-        return _confidence(solution, points, noise, correlation, 0.0, np.zeros((6, 6)))
+        return _confidence(solution, points, noise, correlation, 0.0, np.zeros((6, 6)), tip_error)
     total = _covariance(solution, error.jacobian, _variance(solution), error.information_loss,
                         error.score_covariance)
     if total is None:
         return None
-    correlation = _residual_correlation(solution.weights, error.residuals, neighbours)
+    # an offset that is the same everywhere is no sign of another bone, even if the mixture takes
+    # some of its points for interference
+    correlation = min(_residual_correlation(solution.weights, residuals, neighbours)
+                      for residuals in (error.residuals, solution.residuals - error.offset))
     return _confidence(solution, points, noise, correlation, error.sd,
-                       MODEL_FACTOR * _excess(total, noise) + error.offset_covariance)
+                       MODEL_FACTOR * _excess(total, noise) + error.offset_covariance, tip_error)
 
 
 def assess_at(solution: Solution, points: Array, field: Field,
-              config: SolverConfig) -> Confidence | None:
+              tip_error: float) -> Confidence | None:
     """Return `assess` with the nearest neighbours of each point on the bone."""
     on_strokes = before(solution.touches, points)
     neighbours = nearest_neighbours(on_strokes, field, solution.T_bone_tracker)
-    return assess(solution, points, neighbours)
+    return assess(solution, points, neighbours, tip_error)
 
 
 def reassess(previous: Confidence, solution: Solution, points: Array) -> Confidence | None:
@@ -220,7 +240,7 @@ def reassess(previous: Confidence, solution: Solution, points: Array) -> Confide
     if noise is None:
         return None
     found = _confidence(solution, points, noise, previous.residual_correlation, previous.model_sd,
-                        previous.model_covariance)
+                        previous.model_covariance, previous.tip_error)
     if not previous.landmark_information.any():
         return found
     G = motion_between(previous.centroid, found.centroid)
@@ -247,11 +267,11 @@ def about(confidence: Confidence, centroid: Array) -> Confidence:
 
 
 def _confidence(solution: Solution, points: Array, noise: Array, correlation: float,
-                model_sd: float, model_covariance: Array) -> Confidence:
+                model_sd: float, model_covariance: Array, tip_error: float) -> Confidence:
     """Return the confidence with the covariances due to ``noise`` and to an error of the model."""
     centroid = rigid.transform(solution.T_bone_tracker, points.mean(axis=0))
     return Confidence(noise + model_covariance, centroid, noise_of(solution), correlation, model_sd,
-                      model_covariance)
+                      model_covariance, tip_error=tip_error)
 
 
 def _noise_covariance(solution: Solution) -> Array | None:

@@ -91,10 +91,12 @@ def best_touches(confidence: Confidence, field: Field, reachable: Array, targets
     # an error of the model does not average out over the points of a stroke
     variance = confidence.sigma**2 / STROKE + confidence.model_sd**2
     gained = _shifted(patches.information[near], confidence.centroid) / variance
-    after = np.linalg.inv(np.linalg.inv(confidence.motion_covariance) + gained)
+    # neither does that of the tip, which is the same at every touch
+    lasting = confidence.total_covariance - confidence.motion_covariance
+    after = np.linalg.inv(np.linalg.inv(confidence.motion_covariance) + gained) + lasting
     metric = _metric(targets - confidence.centroid)
     error = np.sqrt(np.einsum('pij,ij->p', after, metric))
-    current = float(np.sqrt((confidence.motion_covariance * metric).sum()))
+    current = float(np.sqrt((confidence.total_covariance * metric).sum()))
     chosen: list[int] = []
     for k in np.argsort(error, kind='stable'):
         place = patches.centres[near[k]]

@@ -297,7 +297,7 @@ def find_candidate(points: Array,
         # only here, so that the air never costs a pose about which there is no doubt
         selected = select(start_poses(found, air, field, START_POSES), evidence)
         selected = replace(selected, decided_by_air=True)
-    confidence = assess_at(selected.solution, points, field, config.solver)
+    confidence = assess_at(selected.solution, points, field, config.probe.tip_error)
     selected, confidence = _with_landmarks(selected, confidence, points, field, evidence)
     selected = replace(selected, blocked=blocked(air, selected.solution.T_bone_tracker, field))
     timing_s = {'search': searched - started, 'solve': perf_counter() - searched}

@@ -84,7 +84,7 @@ def find_offset(solution: Solution, points: Array, field: Field,
         if abs(offset) > MAX_OFFSET:
             return None
         moved, found = at(offset, found.T_bone_tracker)
-    confidence = assess_at(found, points, moved, config.solver)
+    confidence = assess_at(found, points, moved, config.probe.tip_error)
     if confidence is None or not _fits(found, confidence):
         return None
     sd = confidence.sigma * float(np.sqrt(variance * confidence.residual_correlation))

@@ -176,7 +176,8 @@ class OperatorReplay:
         found = answer.detail
         if event.follow_up == 'unknown' and isinstance(found, FixedPoint) and answer.success:
             assert found.point is not None
-            self._settings['probe.tip'] = found.point.tolist()
+            self._settings |= {'probe.tip': found.point.tolist(),
+                               'probe.tip_error': found.rms_error}
             session.configure(recorded_config(self._settings, self._settle))
         return answer
 

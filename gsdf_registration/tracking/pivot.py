@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.formatting import format_error
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.tracking.pivot_covariance import covariance_of, error_within
+from gsdf_registration.tracking.pivot_covariance import covariance_of, error_within, rms_error
 from gsdf_registration.tracking.pivot_inliers import (
     FEWEST,
     Away,
@@ -105,6 +105,11 @@ class FixedPoint:
     def success(self) -> bool:
         """Whether there is a point."""
         return self.reason is PivotReason.CONVERGED
+
+    @property
+    def rms_error(self) -> float | None:
+        """Expected error of ``point``, RMS length, m; None if there is no point."""
+        return None if self.covariance is None else rms_error(self.covariance[:3, :3])
 
 
 def calibrate_pivot(T_tracker_tool: ArrayLike, stamps: ArrayLike | None = None,

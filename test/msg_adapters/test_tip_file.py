@@ -27,7 +27,7 @@ def test_node_and_command_line_read_the_tip_exactly(tmp_path: Path) -> None:
     assert write(path) is None
     assert read_config(str(path)).probe.tip == TIP.tolist()
     parameters = yaml.safe_load(path.read_text())['/**']['ros__parameters']
-    assert parameters == {'probe': {'tip': TIP.tolist()}}
+    assert parameters == {'probe': {'tip': TIP.tolist(), 'tip_error': pytest.approx(3e-8**0.5)}}
     text = path.read_text()
     for words in ('expected error 0.2 mm', '/probe/cp', 'covariance', '1.0000e-08'):
         assert words in text

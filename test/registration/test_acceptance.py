@@ -213,3 +213,13 @@ def test_a_pose_with_the_probe_inside_the_bone_is_rejected() -> None:
     clear = blocked(MIN_FREE - 0.1, False)
     assert reasons(clear) == [] and inside in acceptance_message(clear)
     assert inside not in acceptance_message(blocked(MIN_FREE))
+
+
+def test_a_tip_that_may_be_off_by_more_than_the_limit_is_named() -> None:
+    config = Config.from_flat({'probe.tip_error': 0.0013})
+    candidate = find_candidate(POINTS, bone_field(), config, [T_BONE_TRACKER])
+    refusal, = rejection_reasons(candidate, POINTS, bone_field(), config)
+    assert refusal.reason is Reason.UNDER_CONSTRAINED
+    assert refusal.message == (
+        'the error of the tip may be 2.1 mm (95 %), 2 mm is allowed for the bone; calibrate the '
+        'tip again, or correct probe.tip_error')

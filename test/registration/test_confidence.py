@@ -38,7 +38,7 @@ def confidence_at(points: Array, field: Field, guess: Array,
     """
     config = SolverConfig(method=method)
     solution = solve(points, field, guess, config)
-    confidence = assess_at(solution, points, field, config)
+    confidence = assess_at(solution, points, field, 0.0)
     assert confidence is not None
     return solution, confidence
 
@@ -88,6 +88,24 @@ def test_the_predicted_tre_matches_the_measured_one(method: str) -> None:
     measured = np.sqrt((trials(method)['tre']**2).mean(axis=0))
     predicted = np.sqrt((trials(method)['predicted']**2).mean(axis=0))
     np.testing.assert_allclose(predicted, measured, rtol=0.15)
+
+
+def test_a_tip_that_is_off_moves_the_bone_by_its_error() -> None:
+    """All points are off in one direction, as by a tool that is held one way."""
+    tip_error, rng, nees = 4e-4, np.random.default_rng(3), []
+    for seed in range(60):
+        shift = rng.normal(size=3)
+        points = touched_points(300, seed, 1e-4) + tip_error * shift / np.linalg.norm(shift)
+        solution = solve(points, bone_field(), np.eye(4), SolverConfig())
+        confidence, without = (assess_at(solution, points, bone_field(), error)
+                               for error in (tip_error, 0.0))
+        assert confidence is not None and without is not None
+        np.testing.assert_allclose(confidence.predicted_tre(TARGETS)**2,
+                                   without.predicted_tre(TARGETS)**2 + tip_error**2)
+        found = rigid.inverse(solution.T_bone_tracker)
+        e = pose_error(found, np.eye(4))
+        nees.append(e @ np.linalg.solve(confidence.pose_covariance(found), e))
+    assert np.mean(np.array(nees) <= chi2.ppf(0.95, 6)) >= 0.93
 
 
 def test_pose_covariance_matches_sampled_motions() -> None:
@@ -142,7 +160,7 @@ def test_doubtful_points_reduce_the_information_at_most_to_zero() -> None:
         curvature = solution.curvature.copy()
         curvature[:60] = doubt
         doubted = dataclasses.replace(solution, curvature=curvature)
-        found = assess(doubted, np.zeros((300, 3)), neighbours)
+        found = assess(doubted, np.zeros((300, 3)), neighbours, 0.0)
         assert found is not None
         return float(np.trace(found.motion_covariance))
     without = claimed(0.0)
@@ -157,7 +175,7 @@ def test_points_on_a_plane_do_not_constrain_the_pose() -> None:
     # rotation about x or y and translation along z change no distance
     flat[:, [0, 1, 5]] = 0.0
     assert assess(dataclasses.replace(solution, jacobian=flat), points,
-                  nearest_neighbours(points, bone_field(), np.eye(4), 16)) is None
+                  nearest_neighbours(points, bone_field(), np.eye(4), 16), 0.0) is None
 
 
 def test_the_predicted_tre_follows_from_the_pose_covariance() -> None:

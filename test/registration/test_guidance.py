@@ -32,7 +32,7 @@ def confidence_of(points: Array) -> tuple[Confidence, Array]:
     """Return the confidence from points (n, 3), m, bone frame, and their places at the pose."""
     measured = rigid.transform(T_TRACKER_BONE, points)
     solution = solve(measured, bone_field(), T_BONE_TRACKER, CONFIG)
-    confidence = assess_at(solution, measured, bone_field(), CONFIG)
+    confidence = assess_at(solution, measured, bone_field(), 0.0)
     assert confidence is not None
     return confidence, rigid.transform(solution.T_bone_tracker, measured)
 

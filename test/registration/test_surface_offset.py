@@ -16,6 +16,7 @@ from gsdf_registration.registration.surface_offset import SurfaceOffset
 from gsdf_registration.simulation.ball_tip import with_ball_tip
 from gsdf_registration.simulation.probe import Tracker, simulate_scan
 from gsdf_registration.simulation.regions import named_patch
+from gsdf_registration.simulation.surface_errors import displaced
 
 T_TRACKER_BONE = exp([0.3, -0.8, 0.5, 0.1, -0.2, -1.0])
 
@@ -73,3 +74,18 @@ def test_the_result_moves_with_the_points(centres: Array, hip: Field) -> None:
 def test_points_inside_are_not_cartilage() -> None:
     assert 'cartilage' in SurfaceOffset(0.001, 1e-5).sentence
     assert 'cartilage' not in SurfaceOffset(-0.001, 1e-5).sentence
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_a_model_that_is_eroded_everywhere_is_no_other_bone(
+        hip: Field, hip_surface: tuple[Array, np.ndarray], seed: int) -> None:
+    """An offset within the expected error of the model is estimated with the pose."""
+    patch = named_patch('acetabulum', *hip_surface)
+    scan = simulate_scan(patch, 800, np.random.default_rng(seed), tracker=Tracker(sigma=1.5e-4),
+                         T_tracker_bone=T_TRACKER_BONE)
+    scan = displaced(scan, 3e-4 * hip.sample(scan.tips)[1])
+    result = register(scan.positions, hip, Config(), T_tracker_bone=T_TRACKER_BONE)
+    assert result.reason is Reason.CONVERGED and result.T_tracker_bone is not None
+    touched = transform(T_TRACKER_BONE, patch.corners.mean(axis=1))
+    assert rms_displacement(result.T_tracker_bone @ inverse(T_TRACKER_BONE), np.eye(4),
+                            touched) < 1e-4

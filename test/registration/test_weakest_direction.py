@@ -23,7 +23,7 @@ SIGMA = 1e-4
 def weakest_of(field: Field, points: Array, names: Mapping[str, Array]) -> WeakestDirection:
     """Return the weakest direction of points (n, 3), m, bone frame."""
     config = SolverConfig(method='paper')
-    confidence = assess_at(solve(points, field, np.eye(4), config), points, field, config)
+    confidence = assess_at(solve(points, field, np.eye(4), config), points, field, 0.0)
     assert confidence is not None
     return weakest_direction(confidence, field.surface_points.astype(np.float64), points,
                              field.sample(points)[1].mean(axis=0), names)

@@ -83,7 +83,7 @@ def trials() -> list[Trial]:
         points = measured(seed)
         figures = []
         for solution in (solved(points), allowed_for(solved(points), points)):
-            confidence = assess_at(solution, points, bone_field(), CONFIG)
+            confidence = assess_at(solution, points, bone_field(), 0.0)
             assert confidence is not None
             e = error_of(solution, confidence.centroid)
             tre = rigid.displacement(solution.T_bone_tracker @ T_TRACKER_BONE, np.eye(4), surface)
@@ -103,7 +103,7 @@ def test_finds_no_model_error_in_noise() -> None:
         after = allowed_for(before, points)
         assert after.model_error is not None
         reported.append(after.model_error.sd > 0.0)
-        stated = [assess_at(solution, points, bone_field(), CONFIG) for solution in (before, after)]
+        stated = [assess_at(solution, points, bone_field(), 0.0) for solution in (before, after)]
         assert stated[0] is not None and stated[1] is not None
         growth.append(np.trace(stated[1].motion_covariance[3:, 3:])
                       / np.trace(stated[0].motion_covariance[3:, 3:]))
@@ -128,7 +128,7 @@ def test_an_offset_of_the_whole_bone_does_not_move_the_pose(offset: float) -> No
     after = allowed_for(before, points)
     assert after.model_error is not None
     assert after.model_error.offset == pytest.approx(offset, abs=5e-5)
-    confidence = assess_at(after, points, bone_field(), CONFIG)
+    confidence = assess_at(after, points, bone_field(), 0.0)
     assert confidence is not None
     with_offset, without = (np.linalg.norm(error_of(solution, confidence.centroid)[3:])
                             for solution in (after, before))
