@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gsdf_registration.common.operator_event import OperatorEvent
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from gsdf_registration.common.samples import Sample
@@ -189,6 +190,12 @@ def diagnostic_status(name: str, level: bytes, message: str, values: Mapping[str
                             message=message,
                             hardware_id=hardware_id,
                             values=pairs)
+
+
+def event_msg(event: OperatorEvent, name: str) -> DiagnosticStatus:
+    """Return what an operator did as a message from the node ``name``."""
+    level = DiagnosticStatus.OK if event.success else DiagnosticStatus.WARN
+    return diagnostic_status(name, level, event.message, event.values())
 
 
 def with_stamp(status: DiagnosticStatus, stamp: Time) -> DiagnosticStatus:

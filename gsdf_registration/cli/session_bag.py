@@ -80,12 +80,11 @@ class SessionBag:
         self._session, self._topics = session, SessionTopics(
             self._bag, session, self._field)
         self._changed, self._begun = True, False
-        self._shown: tuple[Any, ...] = ()
         self._next_step = self._next_tick = self._next_transform = -math.inf
         self._live = LiveSteps(session, self._field, on_pose=self._on_pose,
                                on_assessment=self._on_assessment,
                                on_status_change=self._on_change, submit=run_now,
-                               clock=lambda: self._topics.now)
+                               clock=lambda: self._topics.time)
         session.listen(self._on_event)
         return self
 
@@ -125,14 +124,14 @@ class SessionBag:
     def restart(self, reason: str) -> None:
         """Pass on that the clock of the samples restarted; the times start again too."""
         self._session.restart(reason)
-        self._topics.now = -math.inf
+        self._topics.time = -math.inf
         self._next_step = self._next_tick = self._next_transform = -math.inf
 
     # ---- what is written
 
     def _advance(self, stamp: float) -> None:
         """Write what is due before a sample."""
-        self._topics.now = now = max(self._topics.now, stamp)
+        self._topics.time = now = max(self._topics.time, stamp)
         if not self._begun:
             self._begun = True
             self._topics.write_centre()
@@ -158,11 +157,7 @@ class SessionBag:
         """Write the registration or its withdrawal, and the status, if they have changed."""
         self._changed = False
         status = self._session.status()
-        shown = (status.session_id, status.registration_id, status.pose_result is None,
-                 status.withdrawn)
-        if shown != self._shown:
-            self._shown = shown
-            self._topics.write_registration(status)
+        self._topics.write_registration()
         live = self._live_status
         self._topics.write_status(combined_status(status, live), live, tick)
 

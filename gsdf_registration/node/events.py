@@ -65,9 +65,7 @@ class EventPublisher:
         """Publish an event; the values are those of `OperatorEvent`."""
         event = OperatorEvent(place.number, name, place.stamp, answer.success, answer.message,
                               request or {}, performed, follow_up, place.kept, place.last)
-        level = DiagnosticStatus.OK if answer.success else DiagnosticStatus.WARN
-        self._publisher.publish(ros.diagnostic_status(
-            self._node.get_fully_qualified_name(), level, answer.message, event.values()))
+        self._publisher.publish(ros.event_msg(event, self._node.get_fully_qualified_name()))
 
 
 def request_values(request: Any) -> dict[str, Any]:

@@ -2,44 +2,57 @@
 """
 What the node publishes about the bone: poses, results, points, and where to touch next.
 
-`docs/pose_lifetime.md` lists what stays published after which event.
+`visualization.session_messages` decides what is published after which event.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Sequence
 from typing import Any
 
-from rclpy.lifecycle import LifecycleNode
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.result import NextTouch
-from gsdf_registration.common.rigid import Array
-from gsdf_registration.common.samples import Points
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.live import LivePose
 from gsdf_registration.live.assessment import FullAssessment
 from gsdf_registration.node.centre_frame import CentreFrame
 from gsdf_registration.node.publishers import PosePublishers
-from gsdf_registration.node.results import ResultPublishers
-from gsdf_registration.node.scene import ScenePublisher
+from gsdf_registration.node.qos import LATCHED, RESULT, UNWATCHED
 from gsdf_registration.session import Session
+from gsdf_registration.visualization.session_messages import SessionMessages
+from msg_adapters import results
+from msg_adapters.messages import Time
+from msg_adapters.session_result import SessionStatus
+
+MISSING = ('gsdf_registration_msgs is not installed: ~/result, ~/guidance, ~/typed/* and '
+           '~/drop_stroke are missing, all else works; build it from the repository')
+DELIVERY = Duration(seconds=0.2)    # time for the last message of a node that is stopped
 
 
 class Outputs:
     """Publishes the registered and the live pose with their scene; may be used by any thread."""
 
     def __init__(self, node: LifecycleNode, config: Config) -> None:
+        self._node = node
         self._poses = PosePublishers(node, config)
-        self._results = ResultPublishers(node, config)
-        self._scene = ScenePublisher(node, config.model.frame_id)
-        self._centre = CentreFrame(node, config.model.frame_id)
-        self._drawing = threading.Lock()
-        self._field: Field | None = None
-        self._shows_live = False    # whether the scene shows the live registration
-        self._shown: tuple[Any, ...] = ()       # session and registration published last
+        self._centre = CentreFrame(node, config.bone_frame)
+        self._publishers: dict[str, LifecyclePublisher] = {}
+        self._messages = SessionMessages(self, config.bone_frame)
+        topics: list[tuple[str, Any, Any]] = [
+            ('points', PointCloud2, LATCHED), ('markers', MarkerArray, LATCHED)]
+        if results.available():
+            kinds = results.message_types()
+            topics += [('result', kinds.RegistrationResult, RESULT),
+                       ('guidance', kinds.Guidance, LATCHED)]
+        else:
+            node.get_logger().warning(MISSING, once=True)
+        for name, kind, qos in topics:
+            self._publishers[name] = node.create_lifecycle_publisher(
+                kind, f'~/{name}', qos, event_callbacks=UNWATCHED)
 
     @property
     def problem(self) -> str:
@@ -52,41 +65,20 @@ class Outputs:
 
     def show_bone(self, field: Field | None, session: Session) -> None:
         """Show this bone from now on, with the registered pose if there is one."""
-        self._field, self._shown = field, ()
+        self._messages.set_bone(field)
         if field is not None:
             self._centre.show(field)
         self.show_registration(session)
 
     def show_registration(self, session: Session) -> None:
-        """
-        Publish the accepted registration and its points; if there is none, withdraw it.
-
-        Nothing is published if neither has changed.
-        """
-        status = session.status()
-        shown = (status.session_id, status.registration_id, status.pose_result is None,
-                 status.withdrawn)
-        if shown == self._shown:
-            return
-        before, self._shown = self._shown, shown
-        if status.pose_result is None:
-            self._poses.withdraw()
-        else:
-            self._poses.publish(status.pose_result, status.pose_frame_id, status.pose_stamp)
-        if status.pose_result is not None or before[2:] != shown[2:]:
-            self._results.publish(status)
-        self._results.guide()
-        self._draw_registration(session)
+        """Publish the accepted registration or its withdrawal, if either has changed."""
+        self._messages.show_registration(session)
 
     def withdraw(self, session: Session) -> None:
         """Publish that there is no pose and an empty scene; the session keeps its pose."""
-        self._shown = ()
         self._poses.withdraw()
-        self._results.withdraw(session.status(), Withdrawal.DEACTIVATED,
-                               'the node is deactivated: activate it to use the pose again')
-        self._results.guide()
-        with self._drawing:
-            self._scene.clear()
+        self._messages.withdraw(session, Withdrawal.DEACTIVATED,
+                                'the node is deactivated: activate it to use the pose again')
 
     def show_live_pose(self, pose: LivePose, frame_id: str) -> None:
         """Publish the live pose."""
@@ -94,46 +86,31 @@ class Outputs:
 
     def show_assessment(self, found: FullAssessment, session: Session) -> None:
         """Show the live registration if its pose is trusted, else the accepted registration."""
-        reason = found.rejection_reason
-        self._results.guide(found.next_touches, '' if reason is None else reason.advice)
-        if found.T_tracker_bone is not None and found.covariance is not None:
-            with self._drawing:
-                if self._field is not None:
-                    self._show_pose(self._field, session.config, found.T_tracker_bone,
-                                    found.covariance, found.points, found.residuals_m,
-                                    found.weights, found.next_touches)
-            self._shows_live = True
-        elif self._shows_live or found.next_touches:
-            self._draw_registration(session, found.next_touches)
-            self._shows_live = bool(found.next_touches)
+        self._messages.show_assessment(session, found, found.points, found.rejection_reason)
 
     def destroy(self) -> None:
-        """Destroy all publishers."""
-        self._field = None
+        """Destroy all publishers, once the last result is delivered."""
+        self._messages.set_bone(None)
         self._poses.destroy()
-        self._results.destroy()
-        self._scene.destroy()
+        if 'result' in self._publishers:
+            self._publishers['result'].wait_for_all_acked(DELIVERY)
+        for publisher in self._publishers.values():
+            self._node.destroy_lifecycle_publisher(publisher)
         self._centre.destroy()
 
-    def _draw_registration(self, session: Session,
-                           next_touches: Sequence[NextTouch] = ()) -> None:
-        """Show where to touch next and, if there is an accepted registration, its points."""
-        self._shows_live = False
-        result, points = session.status().pose_result, session.registered_points()
-        with self._drawing:
-            if self._field is None:
-                return
-            if (result is None or points is None or result.T_tracker_bone is None
-                    or result.covariance is None or result.residuals_m is None
-                    or result.weights is None):
-                self._scene.show_bone(self._field, next_touches)
-                return
-            self._show_pose(self._field, session.config, result.T_tracker_bone, result.covariance,
-                            points, result.residuals_m, result.weights, next_touches)
+    # ---- the outlet of the messages
 
-    def _show_pose(self, field: Field, config: Config, T_tracker_bone: Array, covariance: Array,
-                   points: Points, residuals: Array, weights: Array,
-                   next_touches: Sequence[NextTouch]) -> None:
-        self._scene.show_pose(field.for_tip(config.probe.tip_radius), config.limits,
-                              T_tracker_bone, covariance, points.positions, residuals, weights,
-                              points.strokes, next_touches)
+    def now(self) -> Time:
+        """Return the time of the node's clock."""
+        return self._node.get_clock().now().to_msg()
+
+    def show_pose(self, status: SessionStatus) -> None:
+        """Publish the pose of the accepted registration, or withdraw it."""
+        if status.pose_result is None:
+            self._poses.withdraw()
+        else:
+            self._poses.publish(status.pose_result, status.pose_frame_id, status.pose_stamp)
+
+    def send(self, topic: str, message: Any) -> None:
+        """Publish a message."""
+        self._publishers[topic].publish(message)

@@ -18,8 +18,8 @@ from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.live import LivePose, LiveStatus
 from gsdf_registration.node.frame_watch import FrameWatch
 from gsdf_registration.node.qos import LATCHED, STEADY, UNWATCHED
-from gsdf_registration.node.status import status_message
 from gsdf_registration.session.status import Status
+from gsdf_registration.session.status_message import status_message
 from msg_adapters import ros
 
 

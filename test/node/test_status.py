@@ -13,11 +13,11 @@ from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import LandmarkFit, Reason, RegistrationResult
 from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.live import LiveStatus
-from gsdf_registration.node.status import status_message
 from gsdf_registration.registration.stroke_report import StrokeReport
 from gsdf_registration.session import Session
 from gsdf_registration.session.pose_changes import WithdrawnPose
 from gsdf_registration.session.status import Status
+from gsdf_registration.session.status_message import status_message
 from gsdf_registration.session.status_values import (
     combined_status,
     not_active,

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
-from diagnostic_msgs.msg import DiagnosticStatus
-
-from gsdf_registration.live import LiveStatus
 from gsdf_registration.session.status import Status
-from gsdf_registration.session.status_values import level_name, shown_message, status_values
+from gsdf_registration.session.status_values import (
+    LiveState,
+    level_name,
+    shown_message,
+    status_values,
+)
+from msg_adapters.messages import DiagnosticStatus
 from msg_adapters.ros import diagnostic_status
 
 
-def status_message(status: Status, live: LiveStatus, name: str) -> DiagnosticStatus:
+def status_message(status: Status, live: LiveState, name: str) -> DiagnosticStatus:
     """Return ``status`` as a message from the node ``name``. Values are SI units or plain text."""
     return diagnostic_status(name, getattr(DiagnosticStatus, level_name(status)),
                              shown_message(status), status_values(status, live))
