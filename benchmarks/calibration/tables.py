@@ -16,8 +16,8 @@ from gsdf_registration.common.rigid import Array, rms
 CHI_SQUARE_95 = 12.592      # 95 % quantile, 6 degrees of freedom
 CHI_SQUARE_FAR = 30.0       # exceeded by 0.004 %
 COLUMNS = ('scenario', 'trials', 'lost', '95 % region', '> 30', 'near true/stated', 'within 95 %',
-           'far true/stated', 'within 95 %', 'near/bound', 'far/bound', 'efficiency')
-WIDTHS = (26, 7, 5, 12, 8, 18, 12, 17, 12, 11, 10, 11)
+           'far true/stated', 'within 95 %', 'near/bound', 'far/bound', 'efficiency', 'refused')
+WIDTHS = (26, 7, 5, 12, 8, 18, 12, 17, 12, 11, 10, 11, 11)
 
 
 def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
@@ -26,6 +26,7 @@ def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
 
     Lost poses are in another minimum or without covariance; they are in no other column. Lengths
     are RMS in mm. Efficiency is the error of the pose over the Cramer-Rao bound, sqrt(NEES / 6).
+    Refused: well-posed problems whose stated error is beyond the limit.
     """
     named = {row['scenario'] for row in rows}
     regions = sorted({row['case'].split('/')[1] for row in rows})
@@ -60,7 +61,10 @@ def _cells(group: Sequence[Row]) -> tuple[str, ...]:
         cells += [f'{true:.2f} / {stated:.2f}', _share(value, f'{place}_within')]
     cells += [f'{rms(value[f"{place}_m"]) / rms(value[f"{place}_bound_m"]):.2f}'
               for place in ('near', 'far')]
-    return (*cells, f'{np.sqrt(value["nees"].mean() / 6.0):.2f}' if 'nees' in value else '-')
+    well_posed = [row for row in rows if row.get('well_posed')]
+    refused = sum(row['share_of_limits'] > 1.0 for row in well_posed)
+    return (*cells, f'{np.sqrt(value["nees"].mean() / 6.0):.2f}' if 'nees' in value else '-',
+            f'{refused} of {len(well_posed)}' if 'share_of_limits' in value else '-')
 
 
 def _share(value: dict[str, Array], key: str, of: Callable[[Array], Any] = np.asarray) -> str:
