@@ -16,12 +16,16 @@ MODULES = sorted(TEST.rglob('test_*.py'))
 
 
 def run_pytest(*arguments: str, without: str = '') -> str:
-    """Run pytest in a process in which a package cannot be imported; return its output."""
+    """
+    Run pytest in a process in which packages cannot be imported; return its output.
+
+    It does not get the options of colcon: workers of ``-n`` could import the packages.
+    """
     code = (f'import sys; sys.modules.update(dict.fromkeys({without.split()!r}))\n'
             f'import pytest; sys.exit(pytest.main({list(arguments)!r}))')
     paths = os.pathsep.join([str(TEST), os.environ.get('PYTHONPATH', '')])
     done = subprocess.run([sys.executable, '-c', code], cwd=TEST.parent, text=True,
-                          env={**os.environ, 'PYTHONPATH': paths},
+                          env={**os.environ, 'PYTHONPATH': paths, 'PYTEST_ADDOPTS': ''},
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=100.0)
     assert done.returncode == 0, done.stdout
     return done.stdout
@@ -34,7 +38,9 @@ def test_plugin_of_launch_testing_collects_all_tests() -> None:
     assert {TEST.parent / line.partition('::')[0] for line in collected} == set(MODULES)
 
 
-def test_modules_that_need_a_missing_package_are_skipped_with_the_reason() -> None:
+def test_modules_that_need_a_missing_package_are_skipped_with_the_reason(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('PYTEST_ADDOPTS', '--collect-only')      # as colcon sets it
     output = run_pytest('-p', 'launch_testing_hook', 'test/visualization/test_picture.py',
                         'test/visualization/test_colours.py', 'test/ros',
                         without='matplotlib rclpy')
