@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gsdf_registration.common.config import Config
-from gsdf_registration.common.operator_event import OperatorEvent
+from gsdf_registration.common.operator_event import BUSY, OperatorEvent
 from gsdf_registration.common.rigid import Array, quaternion_from_rotation
 from gsdf_registration.common.samples import Sample
 from gsdf_registration.common.withdrawal import Withdrawal
@@ -23,7 +23,13 @@ from msg_adapters import stamps
 from msg_adapters.bag import TYPES
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.motion import POINT, POSE, to_matrix, tool_pose
-from msg_adapters.service_events import REQUEST_RECEIVED, RESPONSE_SENT, _typestore
+from msg_adapters.service_events import (
+    INITIAL_POSE,
+    REQUEST_RECEIVED,
+    RESPONSE_SENT,
+    TRANSITION,
+    _typestore,
+)
 
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
 NODE = '/registration'
@@ -78,6 +84,20 @@ def service_part(kind: str, which: str, *values: Any) -> Any:
     return SERVICE_TYPES[f'{kind.replace("/srv/", "/msg/")}_{which}'](*values)
 
 
+def transition_event(start: str, goal: str) -> Any:
+    """Return a change of state as rcl publishes it."""
+    t = TYPES.types
+    state = t['lifecycle_msgs/msg/State']
+    return t[TRANSITION](0, t['lifecycle_msgs/msg/Transition'](0, ''), state(0, start),
+                         state(0, goal))
+
+
+def initial_pose_message(T: Array, frame_id: str = 'tracker') -> Any:
+    """Return an initial pose (4, 4)."""
+    body = TYPES.types['geometry_msgs/msg/PoseWithCovariance'](pose_body(T), np.zeros(36))
+    return message(INITIAL_POSE, 0.0, body, frame_id)
+
+
 def parameter(name: str, value: Any) -> Any:
     """Return a Parameter message."""
     kinds = [(bool, 1, 'bool_value'), (int, 2, 'integer_value'), (float, 3, 'double_value'),
@@ -109,7 +129,7 @@ class RecordedOperation:
     messages : list of (float, str, str, bytes)
         Time of publication, s, topic, type and CDR of each message.
     points : (n, 3), m, tracker frame, for the tests
-    services : the same of service introspection
+    services : the same of service introspection, state and initial poses
 
     """
 
@@ -123,10 +143,11 @@ class RecordedOperation:
         self._last: dict[str, tuple[int, float]] = {}
         self._number = 0
         self._ticked = 0.0
-        self._start: Any = None     # Pose of the last request to register
-        state = {'settings': config.flat(), 'model_sha256': field.bone_sha256}
+        self._start: Any = None     # Pose of the last request with one
+        self._active = True
+        self._sha256 = field.bone_sha256
         for name in ('configure', 'activate'):
-            self._publish(self._begin(name, state), Answer(True, ''))
+            self._publish(self._begin(name, self._state()), Answer(True, ''))
         self.session.activate()
 
     # what the tracker sends
@@ -154,7 +175,8 @@ class RecordedOperation:
         else:
             tool = tool_pose(given, POSE)
             sample = Sample(stamp, tool[:3], given.header.frame_id, topic, arrival, tool=tool)
-        self._transformer.add_point(sample)
+        if self._active:
+            self._transformer.add_point(sample)
         if self.time - self._ticked > TICK:
             self._ticked = self.time
             self._transformer.process(arrival)
@@ -179,7 +201,7 @@ class RecordedOperation:
 
     def call(self, name: str, **request: Any) -> Answer:
         """Carry out a request as the services of the node do."""
-        if name == 'register' and request:      # it comes as a message
+        if 'T_tracker_bone' in request:     # it comes as a message
             self._start = pose_body(np.array(request['T_tracker_bone']))
             request['T_tracker_bone'] = to_matrix(self._start.position,
                                                   self._start.orientation).tolist()
@@ -218,7 +240,14 @@ class RecordedOperation:
         return answer
 
     def _introspect(self, event: OperatorEvent, answer: Answer) -> None:
-        """Record a request and its answer as service introspection does."""
+        """Record a request and its answer as service introspection does, or an initial pose."""
+        topic, time = f'{NODE}/{event.name}', self.time + 0.5 * STEP
+        if event.name == 'initial_pose':
+            given = initial_pose_message(np.array(event.request['T_tracker_bone']),
+                                         event.request['frame_id'])
+            self.services.append((time, topic, INITIAL_POSE,
+                                  bytes(TYPES.serialize_cdr(given, INITIAL_POSE))))
+            return
         kind, request = 'std_srvs/srv/Trigger', [0]
         name, response = event.name, [answer.success, answer.message]
         if name == 'collect':
@@ -232,7 +261,7 @@ class RecordedOperation:
             name, kind = 'set_parameters_atomically', 'rcl_interfaces/srv/SetParametersAtomically'
             request = [[parameter(*each) for each in event.request.items()]]
             response = [parameter_result(True)]
-        topic, time = f'{NODE}/{name}/_service_event', self.time + 0.5 * STEP
+        topic = f'{NODE}/{name}/_service_event'
         self.services += [
             (time, topic, f'{kind}_Event', service_event(
                 kind, REQUEST_RECEIVED, event.number, [service_part(kind, 'Request', *request)])),
@@ -240,9 +269,27 @@ class RecordedOperation:
                 kind, RESPONSE_SENT, event.number,
                 response=[service_part(kind, 'Response', *response)]))]
 
-    def refuse(self, name: str) -> None:
+    def change(self, name: str) -> None:
+        """Activate or deactivate the node."""
+        event = self._begin(name, self._state())
+        getattr(self.session, name)()
+        self._active = name == 'activate'
+        self._publish(event, Answer(True, ''))
+        during, after = {'activate': ('activating', 'active'),
+                         'deactivate': ('deactivating', 'inactive')}[name]
+        self.services += [
+            (self.time + 0.5 * STEP, f'{NODE}/transition_event', TRANSITION, bytes(
+                TYPES.serialize_cdr(transition_event(*states), TRANSITION)))
+            for states in (('', during), (during, after))]
+
+    def _state(self) -> dict[str, Any]:
+        return {'settings': self.session.config.flat(), 'model_sha256': self._sha256}
+
+    def refuse(self, name: str, sentence: str = BUSY) -> None:
         """Refuse a request at once."""
-        self._publish(self._begin(name, {}, performed=False), Answer(False, 'wait'))
+        event, answer = self._begin(name, {}, performed=False), Answer(False, sentence)
+        self._publish(event, answer)
+        self._introspect(event, answer)
 
     def _drop(self, stroke: int | None) -> tuple[Answer, str]:
         session, before = self.session, self.session.status().outdated

@@ -118,8 +118,9 @@ class OperatorReplay:
         if name in [kind.value for kind in CalibrationKind]:
             return self._calibrate(event)
         if name == 'initial_pose':
-            return session.set_initial_pose(np.array(request['T_tracker_bone']),
-                                            request['frame_id'])
+            answer = session.set_initial_pose(np.array(request['T_tracker_bone']),
+                                              request['frame_id'])
+            return None if event.follow_up == 'unknown' else answer     # of the node
         self._change(event)
         return None
 
@@ -138,7 +139,7 @@ class OperatorReplay:
             if event.name == 'configure':       # a new session
                 self._clear()
                 session.clear()
-                if event.kept:
+                if event.kept not in (0, UNKNOWN):
                     self._differ(f'the node resumed a session with {event.kept} points, which are '
                                  'not in the recording', event)
             session.configure(recorded_config(self._settings, self._settle))

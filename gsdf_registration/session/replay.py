@@ -28,7 +28,7 @@ from gsdf_registration.tracking.point_transformer import PointTransformer
 from msg_adapters.recorded_events import settings_of
 from msg_adapters.recording import Recording
 
-STARTS = ('configure', 'activate')      # events with which a node starts
+STATES = ('configure', 'activate', 'deactivate')        # events that change the node's state
 
 _log = logging.getLogger('gsdf_registration')
 
@@ -144,8 +144,9 @@ def _operated(recording: Recording, field: Field, settle: Settle,
     transformer = PointTransformer(watch(session) if watch else session, Frames())
     operator = OperatorReplay(session, transformer.clear, field.bone_sha256, settle, settings,
                               landmarks, T_tracker_bone)
-    # the first events may be missing
-    operator.receiving = operator.active = recording.events[0].event.name not in STARTS
+    # what the node did before its first change of state that is recorded
+    first = next((each.event.name for each in recording.events if each.event.name in STATES), '')
+    operator.receiving, operator.active = first != 'configure', first in ('', 'deactivate')
     return session, transformer, operator
 
 

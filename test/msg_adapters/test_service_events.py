@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 from recorded_operation import (
     NODE,
+    initial_pose_message,
     message,
     parameter,
     parameter_result,
     pose_body,
     service_event,
     service_part,
+    transition_event,
 )
 
 from gsdf_registration.common.operator_event import BUSY
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import from_rt
-from msg_adapters.bag import read_bag
+from msg_adapters.bag import TYPES, read_bag
 from msg_adapters.bag_storage import Raw
 from msg_adapters.bag_writer import BagWriter
 from msg_adapters.motion import POSE
@@ -45,6 +47,11 @@ class Introspection:
     def message(self, name: str, kind: str, *about: Any, **parts: Any) -> None:
         self.messages.append(Raw(f'{NODE}/{name}/_service_event', f'{kind}_Event',
                                  service_event(kind, *about, **parts), len(self.messages) + 1))
+
+    def add(self, name: str, given: Any) -> None:
+        """Add a message on another topic of the node."""
+        self.messages.append(Raw(f'{NODE}/{name}', given.__msgtype__, bytes(TYPES.serialize_cdr(
+            given, given.__msgtype__)), len(self.messages) + 1))
 
     def call(self, name: str, kind: str, *values: Any, answer: Any = (True, 'done'),
              more: bytes = b'') -> None:
@@ -89,6 +96,43 @@ def test_an_initial_pose_is_read() -> None:
     event = read_service_events(run.messages, NODE).events[1]
     assert event.name == 'register'
     np.testing.assert_array_equal(np.array(event.request['T_tracker_bone'])[:3, 3], [1.0, 2.0, 3.0])
+
+
+def test_the_state_of_the_node_decides_which_requests_it_used() -> None:
+    run = Introspection()
+
+    def change(start: str, goal: str) -> None:
+        run.add('transition_event', transition_event(start, goal))
+
+    def initial_pose(T: np.ndarray) -> None:
+        run.add('initial_pose', initial_pose_message(T))
+    run.call('register', TRIGGER, answer=(False, 'the node is unconfigured'))
+    run.call('set_parameters', SET_PARAMETERS, [parameter('gate.min_distance', 0.002)],
+             answer=([parameter_result(True)],))
+    change('unconfigured', 'configuring')
+    change('configuring', 'unconfigured')       # no bone
+    change('configuring', 'inactive')
+    initial_pose(np.eye(4))
+    change('inactive', 'activating')
+    change('activating', 'active')
+    initial_pose(from_rt(np.eye(3), [1.0, 2.0, 3.0]))
+    initial_pose(from_rt(np.eye(3), [np.nan] * 3))      # rejected
+    run.call('register', TRIGGER, answer=(False, 'too_few_points'))
+    change('active', 'deactivating')
+    change('deactivating', 'inactive')
+    run.call('verify', TRIGGER, answer=(False, 'the node is inactive'))
+    found = read_service_events(run.messages, NODE).events
+    assert [(each.number, each.name, each.performed) for each in found] == [
+        (0, 'register', False), (1, 'parameters', True), (2, 'configure', True),
+        (3, 'initial_pose', False), (4, 'activate', True), (5, 'initial_pose', True),
+        (6, 'register', True), (7, 'deactivate', True), (8, 'verify', False)]
+    assert np.array(found[5].request['T_tracker_bone'])[:3, 3].tolist() == [1.0, 2.0, 3.0]
+    assert found[5].request['frame_id'] == 'tracker'
+    # of a node that was active when the recording began, all is carried out
+    begin = next(row for row, raw in enumerate(run.messages) if 'register' in raw.topic and row > 5)
+    found = read_service_events(run.messages[begin:], NODE).events
+    assert [(each.name, each.performed) for each in found] == [
+        ('activate', True), ('register', True), ('deactivate', True), ('verify', False)]
 
 
 def test_a_request_without_an_answer_is_left_out_and_noted() -> None:

@@ -14,13 +14,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from lifecycle_msgs.msg import Transition
 from rclpy.parameter import Parameter
 from ros_support import ROOT, NodeProcess, Tracker, tracked
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 from gsdf_registration.common.result import InputError
+from gsdf_registration.common.rigid import exp
 from msg_adapters import ros
 from msg_adapters.bag import TYPES, list_topics, read_bag
 
@@ -193,9 +196,11 @@ def test_an_operation_is_replayed_from_service_events(
                      'not "on"')
     assert not client.set_parameters(Parameter('service_configure_introspection',
                                                value='contents'))
-    running = recorder('/probe/tip', f'{name}/*/_service_event')
-    running.await_topics('/probe/tip', *(f'{name}/{service}/_service_event' for service in (
-        'clear', 'collect', 'register', 'undo', 'set_parameters_atomically')))
+    places = client.node.create_publisher(PoseWithCovarianceStamped, f'{name}/initial_pose', 10)
+    running = recorder('/probe/tip', f'{name}/*')
+    running.await_topics('/probe/tip', f'{name}/initial_pose', f'{name}/transition_event', *(
+        f'{name}/{service}/_service_event' for service in (
+            'clear', 'collect', 'register', 'undo', 'set_parameters_atomically')))
     running.await_samples(tracker)
     tracker.await_taken()       # so that the recorder has samples and requests in the node's order
     assert client.ask('clear').success
@@ -207,6 +212,14 @@ def test_an_operation_is_replayed_from_service_events(
     drag(slice(250))
     assert not client.set_parameters(Parameter('gate.min_distance', value=0.001),
                                      Parameter('search.rotations', value=50))
+    guess = ros.pose_with_covariance_msg(tracker.truth.T_tracker_bone @ exp(np.full(6, 0.01)),
+                                         np.zeros((6, 6)), 'tracker', Time())
+    places.publish(guess)
+    client.spin_until(lambda: 'initial pose' in client.status()['message'], 'it is not used')
+    assert client.change(Transition.TRANSITION_DEACTIVATE)
+    tracker.send(tracker.positions[:50] + 0.02)     # not used
+    assert not client.ask('register').success
+    assert client.change(Transition.TRANSITION_ACTIVATE)
     drag(slice(250, None))
     assert client.ask('register').success
     client.collect(True)
@@ -221,7 +234,7 @@ def test_an_operation_is_replayed_from_service_events(
                                                value='disabled'))
     config = tmp_path / 'node.yaml'
     config.write_text('registration: {ros__parameters: {collect: {automatic: false}}}')
-    document = replayed(running.bag, tmp_path, '--config', str(config))
+    document = replayed(running.bag, tmp_path, '--config', str(config), '--events', name)
     note, = document['recording']['notes']
     assert note.startswith(f'what the operator did is read from the service events of {name}')
     T = np.array(document['T_tracker_bone'])

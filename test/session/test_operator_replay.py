@@ -132,7 +132,24 @@ def test_changed_parameters_and_an_initial_pose(tmp_path: Path) -> None:
     assert run.call('register').success
     run.call('parameters', **{'probe.tip_radius': 0.0005})      # withdraws the pose
     assert run.call('register').detail is not None
-    assert_replayed(run, tmp_path, None)
+    assert_replayed(run, tmp_path)
+
+
+def test_a_node_that_is_deactivated_meanwhile(tmp_path: Path) -> None:
+    run = RecordedOperation(bone_field(), CONFIG)
+    touch_landmarks(run)
+    stroke(run, POINTS[:200])
+    assert run.call('register').success
+    run.call('collect', data=True)
+    run.tip(POINTS[200:300])
+    run.change('deactivate')
+    run.tip(POINTS[300:400])        # not used
+    for name in ('register', 'clear'):
+        run.refuse(name, 'the node is inactive; activate it first')
+    run.change('activate')
+    stroke(run, POINTS[400:])
+    assert run.call('register').success
+    assert assert_replayed(run, tmp_path).session.status().received == len(POINTS) - 100 + 3 * 50
 
 
 def tool_at(positions: Array) -> Array:

@@ -6,8 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import LandmarkFit, Reason, RegistrationResult
@@ -24,6 +22,7 @@ from gsdf_registration.session.status_values import (
     pose_kept,
     sentence,
 )
+from msg_adapters.messages import DiagnosticStatus, Time
 from msg_adapters.ros import with_stamp
 
 READY = LiveStatus(ready=True, message='enough points: register now')
