@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO
 
@@ -13,10 +14,16 @@ from gsdf_registration.common.result import InputError
 
 
 @contextmanager
-def running(command: Sequence[str], name: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process during the block; append its last output to an `InputError` of the block."""
+def running(command: Sequence[str], name: str, environment: Mapping[str, str] = {}
+            ) -> Iterator[subprocess.Popen[bytes]]:
+    """
+    Run a process during the block; append its last output to an `InputError` of the block.
+
+    ``environment`` is added to that of this process.
+    """
     with tempfile.TemporaryFile() as log:
-        process = subprocess.Popen(command, stdout=log, stderr=log)
+        process = subprocess.Popen(command, stdout=log, stderr=log,
+                                   env={**os.environ, **environment})
         try:
             yield process
         except InputError as error:
