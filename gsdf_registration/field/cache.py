@@ -40,17 +40,22 @@ def cached_field(bone: Bone, voxel_size: float = 0.001) -> Field:
     voxel_size : float, metres
 
     """
-    path = cache_directory() / f'{bone.sha256[:32]}-{voxel_size * 1e6:.0f}um-v{VERSION}.gsdf'
-    found = _read(path, bone, voxel_size, logging.DEBUG)
+    found = stored_field(bone.sha256, voxel_size)
     if found is not None:
         return found
+    path = _path(bone.sha256, voxel_size)
     with _only_builder(path):
-        return (_read(path, bone, voxel_size, logging.WARNING)
+        return (stored_field(bone.sha256, voxel_size, logging.WARNING)
                 or _built(path, bone, voxel_size))
 
 
-def _read(path: Path, bone: Bone, voxel_size: float, level: int) -> Field | None:
-    """Return the field of a file; None if there is none, or if it is damaged, which is logged."""
+def stored_field(bone_sha256: str, voxel_size: float, level: int = logging.DEBUG) -> Field | None:
+    """
+    Return the field of a bone from the cache.
+
+    None if it is not there, or if its file is damaged, which is logged with this level.
+    """
+    path = _path(bone_sha256, voxel_size)
     if not path.exists():
         return None
     try:
@@ -58,7 +63,11 @@ def _read(path: Path, bone: Bone, voxel_size: float, level: int) -> Field | None
     except InputError as error:
         _log.log(level, '%s', error.message)
         return None
-    return field if field.bone_sha256 == bone.sha256 and field.voxel_size == voxel_size else None
+    return field if field.bone_sha256 == bone_sha256 and field.voxel_size == voxel_size else None
+
+
+def _path(bone_sha256: str, voxel_size: float) -> Path:
+    return cache_directory() / f'{bone_sha256[:32]}-{voxel_size * 1e6:.0f}um-v{VERSION}.gsdf'
 
 
 def _built(path: Path, bone: Bone, voxel_size: float) -> Field:

@@ -10,7 +10,9 @@ from pathlib import Path
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.settings_schema import shortened
 from gsdf_registration.field import Field, cached_field, load_field
-from gsdf_registration.mesh.bone import make_bone
+from gsdf_registration.field.cache import stored_field
+from gsdf_registration.field.known_bones import key_of, known_bone, remember
+from gsdf_registration.mesh.bone import make_bone, warn_of_repairs
 from msg_adapters.points import read_model
 
 
@@ -43,11 +45,19 @@ def load_model(path: str, unit: str = 'mm', voxel_size: float = 0.001, label: st
     file = find_model(path)
     if file.suffix.lower() == '.gsdf':
         return load_field(file)
+    key = '' if label else key_of(file, unit, body)
+    known = known_bone(key)
+    field = None if known is None else stored_field(known.sha256, voxel_size)
+    if known is not None and field is not None:
+        warn_of_repairs(known.notes)
+        return field
     try:
         bone = make_bone(*read_model(file, unit, label), body)
     except InputError as error:
         named = error.message if str(file) in error.message else f'{path}: {error.message}'
         raise InputError(named, error.reason) from None
+    if key and key == key_of(file, unit, body):     # it was not replaced while it was read
+        remember(key, bone)
     return cached_field(bone, voxel_size)
 
 

@@ -97,9 +97,14 @@ def make_bone(vertices: Array,
         raise InputError('the model has neither faces nor normals; '
                          'use a triangle mesh or a point cloud with normals')
     _check_size(bone.vertices)
-    if bone.notes:
-        _log.warning('the bone model was repaired: %s', ' '.join(bone.notes))
+    warn_of_repairs(bone.notes)
     return bone
+
+
+def warn_of_repairs(notes: tuple[str, ...]) -> None:
+    """Log the repairs of a bone in one warning, if there are any."""
+    if notes:
+        _log.warning('the bone model was repaired: %s', ' '.join(notes))
 
 
 def _bone_of_mesh(vertices: Array, faces: np.ndarray, body: str) -> Bone:

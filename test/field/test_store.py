@@ -14,6 +14,7 @@ import numba
 import numpy as np
 import pytest
 import trimesh
+from same_field import assert_same
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.field import build_field, cache, cached_field, load_field, save_field
@@ -50,14 +51,6 @@ def builds(monkeypatch, tmp_path):
 
     monkeypatch.setattr(cache, 'build_field', counting)
     return built
-
-
-def assert_same(a, b):
-    for one, other in zip(a.arrays, b.arrays):
-        np.testing.assert_array_equal(one, other)
-    for name in ('bone_sha256', 'voxel_size', 'bounds', 'surface_points', 'surface_normals',
-                 'vertices', 'faces', 'notes', 'nbytes'):
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
 def test_loads_the_field_that_was_saved(field, path):
