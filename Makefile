@@ -7,6 +7,8 @@ DATA := package.xml $(shell find bags config examples launch resource -type f -n
 
 # Ignore the environment of a ROS installation or of another virtual environment.
 unexport PYTHONPATH LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Without bytecode on disk each of the many processes of the tests compiles all modules again.
+unexport PYTHONDONTWRITEBYTECODE
 export AMENT_PREFIX_PATH := $(VENV)
 
 .PHONY: demo test lint bench clean

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from gsdf_registration.common.formatting import format_count
 from gsdf_registration.common.result import InputError
@@ -72,6 +71,7 @@ def read_segmentation(path: Path, label: str = '') -> tuple[Array, NDArray[np.in
     if cut:
         _log.warning('%s: the bone reaches the edge of the image; the model is closed by a plane '
                      'there, which is not bone', path)
+    from scipy.ndimage import gaussian_filter  # takes 0.1 s, for which a mesh need not wait
     measure = needed('skimage.measure', 'ct', 'segmentations')
     spacing = np.linalg.norm(mask.T_lps_index[:3, :3], axis=0)
     # the same length in all directions: thick slices have the highest steps
