@@ -145,7 +145,7 @@ class RecordedOperation:
         self._ticked = 0.0
         self._start: Any = None     # Pose of the last request with one
         self._active = True
-        self._sha256 = field.bone_sha256
+        self._field = field
         for name in ('configure', 'activate'):
             self._publish(self._begin(name, self._state()), Answer(True, ''))
         self.session.activate()
@@ -239,9 +239,20 @@ class RecordedOperation:
             del self.services[count:]       # the node sets it without a service
         return answer
 
+    def end_joint_search(self, meanwhile: Callable[[], None]) -> Answer:
+        """End the search for a joint centre; the node goes on until the centre is found."""
+        event = self._begin('find_joint_centre', {})
+        solve = self.session.calibrations.begin_or_end(CalibrationKind.JOINT_CENTRE)
+        assert not isinstance(solve, Answer)
+        meanwhile()
+        found = solve()
+        self._publish(event, found)
+        self._introspect(event, found)
+        return found
+
     def _introspect(self, event: OperatorEvent, answer: Answer) -> None:
         """Record a request and its answer as service introspection does, or an initial pose."""
-        topic, time = f'{NODE}/{event.name}', self.time + 0.5 * STEP
+        topic, time = f'{NODE}/{event.name}', event.stamp - START + 0.5 * STEP
         if event.name == 'initial_pose':
             given = initial_pose_message(np.array(event.request['T_tracker_bone']),
                                          event.request['frame_id'])
@@ -265,17 +276,22 @@ class RecordedOperation:
         self.services += [
             (time, topic, f'{kind}_Event', service_event(
                 kind, REQUEST_RECEIVED, event.number, [service_part(kind, 'Request', *request)])),
-            (time, topic, f'{kind}_Event', service_event(
+            (self.time + 0.5 * STEP, topic, f'{kind}_Event', service_event(
                 kind, RESPONSE_SENT, event.number,
                 response=[service_part(kind, 'Response', *response)]))]
 
     def change(self, name: str) -> None:
-        """Activate or deactivate the node."""
+        """Configure, activate or deactivate the node."""
+        if name == 'configure':     # with a new session and new subscriptions
+            self.session = Session(self.session.config, self._field)
+            self._transformer = PointTransformer(self.session, None)
         event = self._begin(name, self._state())
-        getattr(self.session, name)()
+        if name != 'configure':
+            getattr(self.session, name)()
         self._active = name == 'activate'
         self._publish(event, Answer(True, ''))
-        during, after = {'activate': ('activating', 'active'),
+        during, after = {'configure': ('configuring', 'inactive'),
+                         'activate': ('activating', 'active'),
                          'deactivate': ('deactivating', 'inactive')}[name]
         self.services += [
             (self.time + 0.5 * STEP, f'{NODE}/transition_event', TRANSITION, bytes(
@@ -283,7 +299,7 @@ class RecordedOperation:
             for states in (('', during), (during, after))]
 
     def _state(self) -> dict[str, Any]:
-        return {'settings': self.session.config.flat(), 'model_sha256': self._sha256}
+        return {'settings': self.session.config.flat(), 'model_sha256': self._field.bone_sha256}
 
     def refuse(self, name: str, sentence: str = BUSY) -> None:
         """Refuse a request at once."""

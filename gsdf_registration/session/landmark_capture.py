@@ -61,9 +61,17 @@ class LandmarkCapture:
     def __init__(self) -> None:
         self.captured: list[CapturedLandmark] = []
 
-    def add_joint_centre(self, found: CapturedLandmark) -> None:
-        """Add the centre of a joint, or replace the one found before."""
-        self.captured = [each for each in self.captured if each.name != found.name] + [found]
+    def add(self, landmark: CapturedLandmark, config: LandmarksConfig) -> None:
+        """
+        Add a landmark, or replace the one of the same name.
+
+        They are in the order of ``landmarks.names``, which a replay repeats: while the centre of a
+        joint is computed, others may be captured.
+        """
+        others = [each for each in self.captured if each.name != landmark.name]
+        places = {name: place for place, name in enumerate(config.names)}
+        self.captured = sorted([*others, landmark],
+                               key=lambda each: places.get(each.name, len(places)))
 
     def apply_sigmas(self, config: LandmarksConfig) -> None:
         """Use the standard deviations of these settings; that of a joint centre was measured."""
@@ -135,9 +143,8 @@ class LandmarkCapture:
                     False, f'the tip is still at landmark "{other.name}"; touch "{name}"'), None
         row = 3 * config.names.index(name)
         model = np.array(config.positions[row:row + 3])
-        self.captured.append(
-            CapturedLandmark(name, model, tip.position, tip.spread_rms, tip.stamp, tip.tool,
-                             config.sigma_of(name)))
+        self.add(CapturedLandmark(name, model, tip.position, tip.spread_rms, tip.stamp, tip.tool,
+                                  config.sigma_of(name)), config)
         following = f'next is "{remaining[1]}"' if len(remaining) > 1 else 'this was the last one'
         captured = self.landmarks
         warning = TIP_UNKNOWN if tip_missing else disagreement(captured.names, captured.model,

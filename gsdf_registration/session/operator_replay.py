@@ -19,6 +19,7 @@ from gsdf_registration.session.calibration import CalibrationKind
 from gsdf_registration.session.landmark_capture import Answer
 from gsdf_registration.session.session import Session
 from gsdf_registration.tracking.pivot import FixedPoint
+from gsdf_registration.tracking.point_transformer import PointTransformer
 
 # settings of files and topics, which a replay has from its own command line
 FOREIGN = ('model.path', 'model.unit', 'model.label', 'model.body', 'session.', 'probe.topics')
@@ -47,8 +48,8 @@ class OperatorReplay:
     Parameters
     ----------
     session : Session
-    clear : function
-        Drops the samples that wait for a transform.
+    transformer : PointTransformer
+        Through which the session receives samples.
     model_sha256 : str
         Of the bone of the replay.
     settle : function
@@ -65,12 +66,12 @@ class OperatorReplay:
 
     """
 
-    def __init__(self, session: Session, clear: Callable[[], None], model_sha256: str,
+    def __init__(self, session: Session, transformer: PointTransformer, model_sha256: str,
                  settle: Settle, settings: Mapping[str, Any],
                  landmarks: Landmarks | None = None, T_tracker_bone: Array | None = None) -> None:
         self.receiving = self.active = False
         self._other_model = False
-        self._session, self._clear, self._sha256 = session, clear, model_sha256
+        self._session, self._transformer, self._sha256 = session, transformer, model_sha256
         self._settle = settle
         self._landmarks, self._T = landmarks, T_tracker_bone
         self._settings = dict(settings)
@@ -106,7 +107,7 @@ class OperatorReplay:
         if name in ('undo', 'drop_stroke'):
             return self._drop(event)
         if name == 'clear':
-            self._clear()
+            self._transformer.clear()
             return session.clear()
         if name == 'capture_landmark':
             return session.capture_landmark()
@@ -136,8 +137,8 @@ class OperatorReplay:
             self.receiving = True
             self._check_model(request.get('model_sha256'))
             self._settings = dict(request.get('settings', self._settings))
-            if event.name == 'configure':       # a new session
-                self._clear()
+            if event.name == 'configure':       # a new session and new subscriptions
+                self._transformer.reset()
                 session.clear()
                 if event.kept not in (0, UNKNOWN):
                     self._differ(f'the node resumed a session with {event.kept} points, which are '

@@ -142,7 +142,7 @@ def _operated(recording: Recording, field: Field, settle: Settle,
     session = Session(recorded_config(settings, settle), field)
     session.collect(False)
     transformer = PointTransformer(watch(session) if watch else session, Frames())
-    operator = OperatorReplay(session, transformer.clear, field.bone_sha256, settle, settings,
+    operator = OperatorReplay(session, transformer, field.bone_sha256, settle, settings,
                               landmarks, T_tracker_bone)
     # what the node did before its first change of state that is recorded
     first = next((each.event.name for each in recording.events if each.event.name in STATES), '')

@@ -216,12 +216,14 @@ class SessionState:
                                              self.tip_unknown)
         if tip is not None:
             self._withdraw(tip)
-            self._report('landmark', plain(self.landmarks.captured[-1]))
+            name, _ = answer.detail
+            self._report('landmark', plain(next(each for each in self.landmarks.captured
+                                                if each.name == name)))
         return answer
 
     def add_joint_centre(self, landmark: CapturedLandmark) -> None:
         """Store the centre of a joint as a landmark."""
-        self.landmarks.add_joint_centre(landmark)
+        self.landmarks.add(landmark, self.config.landmarks)
         self._report('landmark', plain(landmark))
 
     def verify(self, now: float | None) -> Answer:
@@ -423,7 +425,8 @@ class SessionState:
             {'probe.tip': saved.tip})
         self.collection.restore(saved.points, saved.frame_id, saved.rejected, self.config)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
-        self.landmarks.captured = saved.landmarks
+        for landmark in saved.landmarks:    # a journal has them in the order captured
+            self.landmarks.add(landmark, self.config.landmarks)
         self.tools_received |= self.collection.has_tools or self.landmarks.has_tools
         self.air.restore(saved.air)
         self.verifications = saved.verifications

@@ -66,6 +66,12 @@ class PointTransformer:
         self._clocks = ClockMonitor()
         self._drop_waiting()
 
+    def reset(self) -> None:
+        """Drop all samples and poses of the array, as a new one; the frames of /tf stay."""
+        self._clocks = ClockMonitor()
+        self._sources = {}
+        self._resolver = FrameResolver(self._resolver.frames)
+
     def add_point(self, sample: Sample) -> None:
         """Add a sample."""
         if not math.isfinite(sample.stamp):

@@ -22,7 +22,7 @@ from session_fixtures import (
     with_landmarks,
 )
 
-from gsdf_registration.common.config import Config
+from gsdf_registration.common.config import Config, LandmarksConfig
 from gsdf_registration.common.result import Reason, RegistrationResult
 from gsdf_registration.common.rigid import Array, transform
 from gsdf_registration.common.samples import Rejection
@@ -30,6 +30,7 @@ from gsdf_registration.common.withdrawal import Withdrawal
 from gsdf_registration.field import Field
 from gsdf_registration.session import Session
 from gsdf_registration.session import session as session_module
+from gsdf_registration.session.landmark_capture import CapturedLandmark, LandmarkCapture
 
 
 def test_captures_landmarks_in_order_with_their_spread(field: Field) -> None:
@@ -52,6 +53,15 @@ def test_captures_landmarks_in_order_with_their_spread(field: Field) -> None:
     assert 'all landmarks are captured' in session.capture_landmark().message
     taken = session.landmarks()
     assert np.array_equal(taken.model, LANDMARKS) and np.abs(taken.touched - tip).max() < 2e-4
+
+
+def test_landmarks_are_in_the_order_of_their_names_whenever_they_were_captured() -> None:
+    config = LandmarksConfig(names=['a', 'hip', 'b'], positions=[0.0] * 9)
+    capture = LandmarkCapture()
+    for name, place in (('b', 1.0), ('other', 2.0), ('hip', 3.0), ('a', 4.0), ('hip', 5.0)):
+        capture.add(CapturedLandmark(name, np.zeros(3), np.full(3, place), 0.0, 0.0), config)
+    assert capture.landmarks.names == ('a', 'hip', 'b', 'other')
+    assert capture.landmarks.touched[:, 0].tolist() == [4.0, 5.0, 1.0, 2.0]
 
 
 def test_says_why_a_landmark_is_not_captured(field: Field) -> None:

@@ -224,20 +224,39 @@ def test_a_moving_reference_array(moving: WithArray, tmp_path: Path) -> None:
     assert_replayed(run, tmp_path, MOVING)
 
 
-def test_the_centre_of_a_joint(moving: WithArray, tmp_path: Path) -> None:
+def test_the_poses_of_an_array_end_with_the_configuration(moving: WithArray,
+                                                          tmp_path: Path) -> None:
+    run = moving.run
+    run.call('collect', data=True)
+    moving.tip(touched_points(100))
+    for name in ('deactivate', 'configure', 'activate'):
+        run.change(name)
+    run.call('collect', data=True)
+    moving.tip(touched_points(100), hidden=slice(3))        # before the first pose
+    run.call('register')
+    done = assert_replayed(run, tmp_path, None)
+    assert done.session.status().rejected['no_reference'] > 2
+
+
+def test_the_centre_of_a_joint_and_a_landmark_that_is_captured_while_it_is_found(
+        moving: WithArray, tmp_path: Path) -> None:
     run = moving.run
     assert run.call('find_joint_centre').success
     swing = leg_swing(np.random.default_rng(1), seconds=20.0, rate=1.0 / STEP)
     for T in swing.T_tracker_body:
         run.time += STEP
         run.array(T, run.time)
-    assert run.call('find_joint_centre').success
+
+    def capture() -> None:
+        moving.tip(held(LANDMARKS[0]))
+        assert run.call('capture_landmark').success
+    assert run.end_joint_search(meanwhile=capture).success
     run.time += 1.0
     run.call('collect', data=True)
     moving.tip(touched_points(600, sigma=0.0002))
     run.call('register', T_tracker_bone=moving.T_array_bone.tolist())
     done = assert_replayed(run, tmp_path, MOVING)
-    assert [each.name for each in done.session.status().captured] == ['hip']
+    assert [each.name for each in done.session.status().captured] == ['a', 'hip']
 
 
 def test_samples_from_before_the_node_are_not_used(tmp_path: Path) -> None:
