@@ -20,7 +20,7 @@ from gsdf_registration.registration.candidate import Candidate
 from gsdf_registration.registration.guidance import best_touches, distinguishing_touch
 from gsdf_registration.registration.pipeline import find_candidate
 from gsdf_registration.registration.zone import NEARBY
-from gsdf_registration.simulation.patch import Patch, walk
+from gsdf_registration.simulation.patch import Patch, stroke_over
 from gsdf_registration.simulation.probe import Hand, Tracker, measure, random_pose
 
 # strategy -> where it reduces the error
@@ -117,7 +117,7 @@ class _Surgery:
 
     def touch(self, place: Array, points: int) -> Array:
         """Return the measured points (n, 3), m, of a stroke over a place (3,), m, bone frame."""
-        tips = stroke(self.patch, place, points, self.rng)
+        tips = stroke_over(self.patch, place, points, STEP, BEND, self.rng)
         return measure(rigid.transform(self.T_tracker_bone, tips), TRACKER, self.rng)
 
     def first_strokes(self) -> Array:
@@ -156,18 +156,6 @@ class _Surgery:
     def error(self, T_bone_tracker: Array, where: Array) -> Array:
         """Return the errors (n, 3), m, at places ``where`` (n, 3), m, bone frame, of a pose."""
         return np.asarray(rigid.transform(T_bone_tracker @ self.T_tracker_bone, where) - where)
-
-
-def stroke(patch: Patch, place: Array, points: int, rng: np.random.Generator) -> Array:
-    """Return tips (n, 3), m, of a stroke along an arc over ``place`` (3,), m, bone frame."""
-    face = int(np.argmin(np.linalg.norm(patch.corners.mean(axis=1) - place, axis=1)))
-    # from the place outward for half the stroke, then back over the whole stroke
-    turns = np.full(points // 2 + points, rng.normal(0.0, BEND) * STEP)
-    turns[points // 2], turns[points // 2 + 1:] = np.pi, -turns[points // 2 + 1:]
-    tips, _ = walk(patch, patch.corners[face].mean(axis=0)[None], np.array([face]),
-                   rng.uniform(0.0, 2.0 * np.pi, 1), np.zeros(len(turns), dtype=np.int64),
-                   np.full(len(turns), STEP), turns)
-    return tips[points // 2:]
 
 
 @lru_cache(maxsize=64)

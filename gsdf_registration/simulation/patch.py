@@ -131,6 +131,34 @@ def walk(patch: Patch, starts: Array, faces: NDArray[np.int64], headings: Array,
     return points, triangles
 
 
+def stroke_over(patch: Patch, place: Array, points: int, step: float, bend: float,
+                rng: np.random.Generator) -> Array:
+    """
+    Return the tips (n, 3), m, of a stroke along an arc over a place.
+
+    Parameters
+    ----------
+    patch : Patch
+    place : (3,) float, m, bone frame
+        The middle of the stroke is on the triangle nearest to it.
+    points : int
+    step : float
+        Distance of the tips, m.
+    bend : float
+        Standard deviation of the curvature, 1/m.
+    rng : numpy Generator
+
+    """
+    face = int(np.argmin(np.linalg.norm(patch.corners.mean(axis=1) - place, axis=1)))
+    # from the place outward for half the stroke, then back over the whole stroke
+    turns = np.full(points // 2 + points, rng.normal(0.0, bend) * step)
+    turns[points // 2], turns[points // 2 + 1:] = np.pi, -turns[points // 2 + 1:]
+    tips, _ = walk(patch, patch.corners[face].mean(axis=0)[None], np.array([face]),
+                   rng.uniform(0.0, 2.0 * np.pi, 1), np.zeros(len(turns), dtype=np.int64),
+                   np.full(len(turns), step), turns)
+    return tips[points // 2:]
+
+
 def _normals_and_areas(corners: Array) -> tuple[Array, Array]:
     """Return unit normals (m, 3) and areas (m,) of triangles (m, 3, 3)."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

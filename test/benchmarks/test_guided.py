@@ -6,36 +6,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.guided.runs import (
-    STEP,
     STRATEGIES,
     Run,
     runs_of,
     simulate_run,
-    stroke,
 )
 from benchmarks.guided.tables import needed, page, table
-from benchmarks.protocol.cases import Case, bone, region_patch
+from benchmarks.protocol.cases import Case
 from gsdf_registration.common.config import Config
-
-
-def test_stroke_is_over_its_place_on_the_exposed_area(femur_bone: Path) -> None:
-    patch = region_patch(str(femur_bone), 'condyles')
-    place = patch.centre
-    tips = stroke(patch, place, 30, np.random.default_rng(0))
-    assert tips.shape == (30, 3)
-    assert np.abs(bone(str(femur_bone)).sample(tips)[0]).max() < 2e-4
-    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    assert steps.max() <= STEP * (1.0 + 1e-9) and np.median(steps) > 0.9 * STEP
-    nearest = tips[np.argmin(np.linalg.norm(tips - place, axis=1))]
-    away = np.linalg.norm(patch.corners.mean(axis=1) - place, axis=1).min()
-    assert np.linalg.norm(nearest - place) < away + STEP
-    ends = np.linalg.norm(tips[[0, -1]] - place, axis=1)
-    assert ends.max() < 15.5 * STEP + away
 
 
 def run(bone_file: Path, strategy: str) -> dict[str, Any]:

@@ -11,7 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.simulation.patch import FACING, exposed_patch, walk, whole_surface
+from gsdf_registration.simulation.patch import (
+    FACING,
+    exposed_patch,
+    stroke_over,
+    walk,
+    whole_surface,
+)
 
 CUBE = trimesh.creation.box((2.0, 2.0, 2.0))
 BALL = trimesh.creation.icosphere(subdivisions=3)
@@ -90,3 +96,17 @@ def test_random_points_are_uniform() -> None:
     assert np.abs(points.mean(axis=0)).max() < 0.06
     np.testing.assert_allclose(np.abs(points).max(axis=1), 1.0)
     np.testing.assert_allclose(np.bincount(faces, minlength=12), 500, atol=90)
+
+
+def test_a_stroke_over_a_place_has_it_in_its_middle() -> None:
+    vertices, faces = np.asarray(BALL.vertices), np.asarray(BALL.faces)
+    place, step = np.array([0.1, 0.2, 0.97]), 0.02
+    patch = exposed_patch(vertices, faces, place, 0.8)
+    tips = stroke_over(patch, place, 30, step, 1.0, np.random.default_rng(0))
+    assert tips.shape == (30, 3) and distances(tips, patch.corners, 0.3).max() < 1e-9
+    steps = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    assert steps.max() <= step * (1.0 + 1e-9) and np.median(steps) > 0.9 * step
+    away = np.linalg.norm(tips - place, axis=1)
+    nearest = np.linalg.norm(patch.corners.mean(axis=1) - place, axis=1).min()
+    assert away.argmin() in (14, 15, 16) and away.min() < nearest + step
+    assert away[[0, -1]].min() > 0.2 and away.max() < nearest + 15.5 * step
