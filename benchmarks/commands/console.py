@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.live.figures import processor_seconds
 from benchmarks.live.measured_node import measured_node, require_ros
 from benchmarks.options import SHIPPED, add_seed_option
 from gsdf_registration.clients.processes import running
@@ -72,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
 def measure(meter: Meter, positions: Array, operator: Operator, rounds: int) -> list[str]:
     """Return the lines of the report."""
     from benchmarks.console.browser import browser
+    from benchmarks.live.figures import processor_seconds
 
     def load(process_seconds: float) -> float:
         return 100.0 * process_seconds * RATE / len(positions)
