@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import time
@@ -31,6 +32,8 @@ from msg_adapters.truth import Truth, read_truth
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / 'bags' / 'hip_optical'
 TOPICS = ['/probe/tip', '/probe/landmarks', '/probe/second']
+# the command after it is killed when the tests end, also if they are killed
+ENDS_WITH_TESTS = ['setpriv', '--pdeathsig', 'KILL'] if shutil.which('setpriv') else []
 
 
 class NodeProcess:
@@ -47,13 +50,10 @@ class NodeProcess:
         self.name = f'/{namespace}/{name}'.replace('//', '/')
         self.log_file = log
         with log.open('w') as out:
-            self.process = subprocess.Popen([
-                sys.executable, '-m', 'gsdf_registration.node.main', '--ros-args', '-r',
-                f'__node:={name}', *options, *words
-            ],
-                                            cwd=folder,
-                                            stdout=out,
-                                            stderr=out)
+            self.process = subprocess.Popen(
+                [*ENDS_WITH_TESTS, sys.executable, '-m', 'gsdf_registration.node.main',
+                 '--ros-args', '-r', f'__node:={name}', *options, *words],
+                cwd=folder, stdout=out, stderr=out)
 
     @property
     def log(self) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from chromium import CHROMIUM, MISSING, Watched, open_browser
-from ros_support import Client, NodeProcess, Tracker
+from ros_support import ENDS_WITH_TESTS, Client, NodeProcess, Tracker
 from std_msgs.msg import Empty
 
 from gsdf_registration.visualization.web_access import free_port
@@ -30,8 +30,8 @@ class Console:
 
     def __init__(self, node: str, *options: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, '-m', 'gsdf_registration.node.console', '--node', node, '--port',
-             str(free_port()), *options], stdout=subprocess.PIPE, text=True)
+            [*ENDS_WITH_TESTS, sys.executable, '-m', 'gsdf_registration.node.console', '--node',
+             node, '--port', str(free_port()), *options], stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         self.url = next(line.split('open ')[1].strip() for line in self._process.stdout
                         if 'open http' in line)

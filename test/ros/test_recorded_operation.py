@@ -18,7 +18,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from lifecycle_msgs.msg import Transition
 from rclpy.parameter import Parameter
-from ros_support import ROOT, NodeProcess, Tracker, tracked
+from ros_support import ENDS_WITH_TESTS, ROOT, NodeProcess, Tracker, tracked
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
@@ -37,7 +37,8 @@ class RecorderProcess:
     def __init__(self, bag: Path, *topics: str) -> None:
         self.bag = bag
         self.process = subprocess.Popen(
-            [sys.executable, '-m', 'gsdf_registration.cli.main', 'record', *topics, '-o', str(bag)],
+            [*ENDS_WITH_TESTS, sys.executable, '-m', 'gsdf_registration.cli.main', 'record',
+             *topics, '-o', str(bag)],
             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def await_topics(self, *topics: str) -> None:

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from ros_support import BAG, ROOT, Client, NodeProcess, Tracker
+from ros_support import BAG, ENDS_WITH_TESTS, ROOT, Client, NodeProcess, Tracker
 
 from msg_adapters import ros
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.ros
 
 def player(*options: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, '-m', 'gsdf_registration.clients.player',
+        [*ENDS_WITH_TESTS, sys.executable, '-m', 'gsdf_registration.clients.player',
          str(BAG), *options],
         cwd=ROOT)
 
