@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gsdf_registration.common.result import InputError
-from gsdf_registration.common.rigid import Array
-from gsdf_registration.tracking.pivot_covariance import rms_error
+from gsdf_registration.common.rigid import Array, rms_error
 from msg_adapters.files import irregular, keep_with_date, write_atomically
 from msg_adapters.session_file import now
 

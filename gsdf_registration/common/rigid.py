@@ -173,6 +173,11 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def rms_error(covariance: Array) -> float:
+    """Return the expected length (RMS), m, of an error with this ``covariance`` (3, 3), m^2."""
+    return float(np.sqrt(np.trace(covariance)))
+
+
 def orthonormalized(T: ArrayLike) -> Array:
     """Return the rigid motion nearest to ``T`` (4, 4): its rotation projected by SVD."""
     T = np.asarray(T, dtype=np.float64)

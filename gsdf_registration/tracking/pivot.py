@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gsdf_registration.common.formatting import format_error
-from gsdf_registration.common.rigid import Array
-from gsdf_registration.tracking.pivot_covariance import covariance_of, error_within, rms_error
+from gsdf_registration.common.rigid import Array, rms_error
+from gsdf_registration.tracking.pivot_covariance import covariance_of, error_within
 from gsdf_registration.tracking.pivot_inliers import (
     FEWEST,
     Away,

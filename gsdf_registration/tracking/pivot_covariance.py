@@ -69,11 +69,6 @@ def autocovariance(residuals: Array) -> Array:
     return np.asarray(covariance * (independent / freedom) * (freedom / (freedom - 2.0)))
 
 
-def rms_error(covariance: Array) -> float:
-    """Return the expected length (RMS), m, of an error with this ``covariance`` (3, 3), m^2."""
-    return float(np.sqrt(np.trace(covariance)))
-
-
 def error_within(covariance: Array, probability: float = 0.95) -> float:
     """
     Return the length, m, that an error with this covariance (3, 3) exceeds rarely.
