@@ -184,8 +184,13 @@ class BagFiles:
 
 def is_storage(file: Path) -> bool:
     """Return whether a file is one of a recording, by its name."""
-    stem = file.with_suffix('') if file.suffix in COMPRESSED else file
-    return file.is_file() and stem.suffix in READERS
+    return file.is_file() and bool(storage_name(file))
+
+
+def storage_name(path: Path) -> str:
+    """Return the name of a recording from that of its storage file; empty for another name."""
+    stem = path.with_suffix('') if path.suffix in COMPRESSED else path
+    return stem.stem if stem.suffix in READERS else ''
 
 
 def _contents(part: Path, types: Collection[str] | None) -> Contents:

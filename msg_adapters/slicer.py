@@ -83,6 +83,12 @@ def read_point_lists(path: str | os.PathLike[str], axes: str = 'lps') -> list[Po
     return [each for each in lists if each.labels]
 
 
+def check_point_list_path(path: str | os.PathLike[str]) -> None:
+    """Raise `InputError` if a point list cannot be written under this name."""
+    if not str(path).lower().endswith(('.mrk.json', '.fcsv')):
+        raise InputError(f'{path}: a point list of Slicer has the ending .mrk.json or .fcsv')
+
+
 def write_point_lists(path: str | os.PathLike[str], lists: Sequence[PointList],
                       axes: str = 'lps') -> None:
     """
@@ -101,6 +107,7 @@ def write_point_lists(path: str | os.PathLike[str], lists: Sequence[PointList],
         If the name has another ending, or the file cannot be written.
 
     """
+    check_point_list_path(path)
     if str(path).lower().endswith('.fcsv'):
         rows = [[f'{i}', *(f'{1e3 * value:.9g}' for value in position), '0', '0', '0', '1', '1',
                  '1', '0', _quoted(label), '', '']
@@ -110,11 +117,9 @@ def write_point_lists(path: str | os.PathLike[str], lists: Sequence[PointList],
         text = '\n'.join(['# Markups fiducial file version = 5.6',
                           f'# CoordinateSystem = {axes.upper()}', f'# columns = {FCSV_COLUMNS}',
                           *(','.join(row) for row in rows)]) + '\n'
-    elif str(path).lower().endswith('.mrk.json'):
+    else:
         text = json.dumps({'@schema': SCHEMA, 'markups': [_markup(each, axes) for each in lists]},
                           indent=1) + '\n'
-    else:
-        raise InputError(f'{path}: a point list of Slicer has the ending .mrk.json or .fcsv')
     write_atomically(path, text)
 
 

@@ -16,7 +16,7 @@ from msg_adapters import ndi, stamps
 from msg_adapters.bag import decode_message
 from msg_adapters.bag_storage import BagFiles, Topic
 from msg_adapters.files import unit_scale
-from msg_adapters.motion import ORIENTATION, POSITION, TOLERANCE, TOOL_POSES
+from msg_adapters.motion import ORIENTATION, POSITION, TOLERANCE, TOOL_POSES, tool_pose
 from msg_adapters.table import Table, read_table
 
 TABLES = ('.csv', '.txt', '.tsv')
@@ -120,17 +120,16 @@ def _from_ndi(path: str | os.PathLike[str], wanted: str | None) -> ToolPoses:
 def _from_bag(path: str | os.PathLike[str], unit: str, wanted: str | None) -> ToolPoses:
     bag = BagFiles(path, TOOL_POSES)
     topic = _chosen_topic(bag.path, bag.topics(), wanted)
-    times, positions, quaternions = [], [], []
+    times, poses = [], []
     for i, raw in enumerate(bag.messages([topic.name])):
         message = decode_message(bag.path, i, raw)
-        position, turn = TOOL_POSES[raw.msgtype](message)
         stamp = message.header.stamp
         times.append(stamps.to_seconds(stamp.sec, stamp.nanosec))
-        positions.append([position.x, position.y, position.z])
-        quaternions.append([turn.x, turn.y, turn.z, turn.w])
+        poses.append(tool_pose(message, raw.msgtype))
     if not times:
         raise InputError(f'{bag.path} has no messages on {topic.name}')
-    T, rejected = to_poses(np.array(positions) * unit_scale(unit), np.array(quaternions))
+    rows = np.array(poses)
+    T, rejected = to_poses(rows[:, :3] * unit_scale(unit), rows[:, 3:])
     return ToolPoses(T, np.array(times), topic.name, rejected, tuple(bag.notes))
 
 

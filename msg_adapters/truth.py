@@ -13,6 +13,7 @@ import yaml
 
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, is_rigid
+from msg_adapters.bag_storage import storage_name
 from msg_adapters.files import METRES, parse_yaml, read_text, write_atomically
 
 SCHEMA = 'gsdf-truth/1'
@@ -60,8 +61,7 @@ class Truth:
 def truth_path(bag: str | os.PathLike[str]) -> Path:
     """Return the path of the ground truth of a bag (directory or storage file)."""
     bag = Path(bag)
-    name = bag.stem if bag.suffix in ('.mcap', '.db3') else bag.name
-    return bag.parent / f'{name}.yaml'
+    return bag.parent / f'{storage_name(bag) or bag.name}.yaml'
 
 
 def write_truth(path: str | os.PathLike[str], truth: Truth) -> None:

@@ -75,7 +75,7 @@ def compute_row(job: Job) -> tuple[str, Row]:
     bag_sha256 = hash_of_bag(job.path)
     key = key_of(job, bag_sha256)
     try:
-        row = _row(job, key)
+        row = _row(job, key, bag_sha256)
     except InputError as error:     # as when the folder of the results cannot be written
         row = crashed_row(job, error.message)
     except Exception as error:      # noqa: BLE001 - an error of the program must not end the run
@@ -84,7 +84,7 @@ def compute_row(job: Job) -> tuple[str, Row]:
     return key, {**row, 'bag_sha256': bag_sha256}
 
 
-def _row(job: Job, key: str) -> Row:
+def _row(job: Job, key: str, bag_sha256: str) -> Row:
     from argparse import Namespace
 
     from gsdf_registration.cli.outputs import write_json
@@ -94,7 +94,7 @@ def _row(job: Job, key: str) -> Row:
     report = f'reports/{name}.html' if options.args.report is not None else None
     outcome = replay_bag(job.path, Namespace(**{
         **vars(options.args), 'report': None if report is None else str(output / report)}),
-        options.threads)
+        options.threads, bag_sha256)
     # the same text wherever the archive is
     document = json.loads(json.dumps(outcome.document).replace(
         json.dumps(job.path)[1:-1], json.dumps(job.bag)[1:-1]))

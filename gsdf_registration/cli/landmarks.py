@@ -42,7 +42,10 @@ def run(args: argparse.Namespace) -> int:
     from gsdf_registration.common.result import InputError
     from gsdf_registration.field.model import load_model
     from gsdf_registration.registration.joint_centre import extreme_points, find_hip_centre
+    from msg_adapters.slicer import check_point_list_path
 
+    if args.markups:
+        check_point_list_path(args.markups)
     field, centre = load_model(args.model, args.model_unit, label=args.label or '',
                                body=args.body or ''), None
     try:

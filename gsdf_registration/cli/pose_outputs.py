@@ -27,16 +27,15 @@ def check_pose_outputs(args: argparse.Namespace, several: bool = False) -> None:
 
     ``several``: whether more than one recording is registered.
     """
-    from msg_adapters.slicer import is_point_list
+    from msg_adapters.slicer import check_point_list_path
     from msg_adapters.slicer_transform import check_transform_path
     given = next((name for name in OPTIONS if getattr(args, name)), None)
     if several and given:
         raise InputError(f'--{given} is for one recording; give one BAG or leave out --{given}')
     if args.slicer:
         check_transform_path(args.slicer)
-    if args.markups and not is_point_list(args.markups):
-        raise InputError(f'{args.markups}: a point list of Slicer has the ending .mrk.json or '
-                         '.fcsv')
+    if args.markups:
+        check_point_list_path(args.markups)
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,8 @@ class _Registered:
     session: Session | None = None
 
 
-def replay_bag(bag: str, args: argparse.Namespace, threads: int = 0) -> Outcome:
+def replay_bag(bag: str, args: argparse.Namespace, threads: int = 0,
+               bag_sha256: str = '') -> Outcome:
     """
     Register one recording; unreadable input is an outcome, too.
 
@@ -86,6 +87,7 @@ def replay_bag(bag: str, args: argparse.Namespace, threads: int = 0) -> Outcome:
     bag : path
     args : the options of ``gsdf replay`` for this recording; ``report`` is the file of the report
     threads : of the search if the settings do not say; 0: one per core
+    bag_sha256 : of the bag, if it is known
 
     Raises
     ------
@@ -116,7 +118,8 @@ def replay_bag(bag: str, args: argparse.Namespace, threads: int = 0) -> Outcome:
         if result.T_tracker_bone is not None and places is not None:
             required_error = float(displacement(result.T_tracker_bone, T_true, places).max())
     document = result_to_json(
-        result, given.config, frame_id=found.frame_id, points_sha256=sha256_of(bag),
+        result, given.config, frame_id=found.frame_id,
+        points_sha256=bag_sha256 or sha256_of(bag),
         model_sha256=bone.bone_sha256 if bone else None,
         recording={'complete': given.recording.complete, 'notes': found.notes},
         load_s=given.load_s + opened - given.started,

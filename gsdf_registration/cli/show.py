@@ -88,6 +88,7 @@ def _read_points(args: argparse.Namespace, field: Field,
     from gsdf_registration.registration.input_checks import initial_guess
     from gsdf_registration.session import Session
     from gsdf_registration.session.replay import collected
+    from msg_adapters.bag_storage import storage_name
     from msg_adapters.points import read_points
     from msg_adapters.session_file import read_session
 
@@ -100,7 +101,7 @@ def _read_points(args: argparse.Namespace, field: Field,
         if T_tracker_bone is None and landmarks is None and pose is not None:
             T_tracker_bone = pose.T_tracker_bone
         points, landmarks = session.points(), landmarks or session.landmarks()
-    elif path.is_dir() or path.suffix in ('.mcap', '.db3'):
+    elif path.is_dir() or storage_name(path):
         points = collected(inputs.read_recording(str(path), config), field, config).points()
     elif args.unit is None:
         raise InputError(f'{path}: the unit of the points is missing; add --unit mm or --unit m')

@@ -71,3 +71,7 @@ def test_writes_the_landmarks_for_slicer(femur_bone: Path, tmp_path: Path,
     points = only_list(tmp_path / 'a.mrk.json', 'lps')
     np.testing.assert_allclose(points.positions, [listed[label] for label in points.labels])
     assert points.labels[0] == 'hip_centre'
+    capsys.readouterr()
+    assert main(['landmarks', str(femur_bone), '--markups', str(tmp_path / 'a.csv')]) == 2
+    shown = capsys.readouterr()
+    assert 'has the ending .mrk.json or .fcsv' in shown.err and not shown.out   # at once

@@ -133,6 +133,10 @@ def test_messages_say_what_a_landmark_list_needs(
         capsys, *command, '--landmarks', points, '--landmarks', points)
     assert 'has the ending .tfm or .h5' in refusal(capsys, *command, '--slicer', 'pose.mat')
     assert 'has the ending .mrk.json or .fcsv' in refusal(capsys, *command, '--markups', 'a.json')
+    (tmp_path / 'marks.csv').write_text('label,r,a,s\n')     # can be read, but not written
+    assert 'has the ending .mrk.json or .fcsv' in refusal(
+        capsys, *command, '--markups', tmp_path / 'marks.csv', '--json', tmp_path / 'none.json')
+    assert not (tmp_path / 'none.json').exists()        # before the registration
 
 
 def test_replay_writes_the_pose_of_one_recording(

@@ -33,6 +33,8 @@ def test_truth_path_is_beside_the_bag():
     assert truth_path('bags/run.1') == Path('bags/run.1.yaml')
     assert truth_path('bags/run.mcap') == Path('bags/run.yaml')
     assert truth_path('bags/run/') == Path('bags/run.yaml')
+    assert truth_path('bags/run.1.mcap.zstd') == Path('bags/run.1.yaml')
+    assert truth_path('bags/run.bag') == Path('bags/run.yaml')
 
 
 @pytest.mark.parametrize('old, new, words', [
