@@ -42,7 +42,7 @@ def test_modules_that_need_a_missing_package_are_skipped_with_the_reason(
         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('PYTEST_ADDOPTS', '--collect-only')      # as colcon sets it
     output = run_pytest('-p', 'launch_testing_hook', 'test/visualization/test_picture.py',
-                        'test/visualization/test_colours.py', 'test/ros',
+                        'test/common/test_formatting.py', 'test/ros',
                         without='matplotlib rclpy')
     assert 'matplotlib is not installed' in output and 'rclpy is not installed' in output
     assert ' passed' in output and ' error' not in output
