@@ -9,7 +9,7 @@ from time import process_time
 
 import numpy as np
 
-from benchmarks.air.path import AirPath, simulate_air
+from benchmarks.air.path import AirPath, measured_path
 from benchmarks.execution.result_table import Row
 from benchmarks.protocol import hard_cases
 from benchmarks.protocol.cases import Case, bone, region_patch, surface
@@ -73,7 +73,7 @@ def run_trial(trial: AirTrial, config: Config) -> Row:
     tracker, T = Tracker(sigma=SIGMA), random_pose(rng)
     count = int(rng.integers(*SCENARIOS[trial.scenario]))
     recording = simulate_scan(patch, count, rng, tracker=tracker, hand=HAND, T_tracker_bone=T)
-    path = simulate_air(recording, patch, field, rng, tracker)
+    path = measured_path(recording, patch, field, rng, tracker)
     faulty = _with_faults(path, recording, rng)
     air = {'tip': _recorded(path, recording, []),
            'shaft': _recorded(path, recording, SHAFT),

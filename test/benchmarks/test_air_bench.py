@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from smooth_bone import bone_field, bone_mesh
 
-from benchmarks.air.path import AirPath, simulate_air
+from benchmarks.air.path import AirPath, measured_path
 from benchmarks.air.trial import _recorded, _tools
 from gsdf_registration.common import rigid
 from gsdf_registration.common.tool_pose import tip_positions
@@ -30,7 +30,7 @@ def simulated() -> tuple[SimulatedRecording, AirPath]:
     centre = mesh.vertices[np.argmax(mesh.vertices[:, 0])]
     patch = exposed_patch(mesh.vertices, mesh.faces, centre, 0.04)
     recording = simulate_scan(patch, 400, rng, tracker=TRACKER, T_tracker_bone=random_pose(rng))
-    return recording, simulate_air(recording, patch, bone_field(), rng, TRACKER)
+    return recording, measured_path(recording, patch, bone_field(), rng, TRACKER)
 
 
 def test_neither_tip_nor_shaft_enters_the_bone() -> None:
