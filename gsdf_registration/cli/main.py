@@ -15,7 +15,7 @@ from gsdf_registration import __version__
 from gsdf_registration.common.command_line import Parser, example, run_command
 
 SUBCOMMANDS = ('build', 'register', 'replay', 'record', 'import_ndi', 'import_plus', 'simulate',
-               'show', 'view', 'compare', 'pivot', 'landmarks', 'demo', 'warm_up', 'igtl')
+               'show', 'view', 'compare', 'pivot', 'landmarks', 'demo', 'warm_up', 'cache', 'igtl')
 
 
 def make_parser() -> Parser:

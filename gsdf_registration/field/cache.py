@@ -6,6 +6,7 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,6 +17,10 @@ from gsdf_registration.field.build import build_field
 from gsdf_registration.field.field import Field
 from gsdf_registration.field.store import VERSION, load_field, save_field
 from gsdf_registration.mesh.bone import Bone
+
+# <hash of the bone>-<voxel size in micrometres>um-v<version>.gsdf, and the bone of a file, see
+# `gsdf_registration.field.known_bones`; what a killed process leaves has a further suffix
+NAME = re.compile(r'[0-9a-f]{32}(-\d+um-v\d+\.(gsdf|lock)|\.bone\.json).*')
 
 _log = logging.getLogger('gsdf_registration')
 
@@ -64,6 +69,24 @@ def stored_field(bone_sha256: str, voxel_size: float, level: int = logging.DEBUG
         _log.log(level, '%s', error.message)
         return None
     return field if field.bone_sha256 == bone_sha256 and field.voxel_size == voxel_size else None
+
+
+def cached_files() -> list[Path]:
+    """Return the files of this cache, by name; other files in its folder are left alone."""
+    with suppress(OSError):
+        return sorted(path for path in cache_directory().iterdir() if NAME.fullmatch(path.name))
+    return []
+
+
+def clear_cache() -> list[str]:
+    """Delete the files of this cache; return one sentence for each that cannot be deleted."""
+    problems = []
+    for path in cached_files():
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            problems.append(f'{path} cannot be deleted: {error.strerror}')
+    return problems
 
 
 def _path(bone_sha256: str, voxel_size: float) -> Path:
