@@ -8,10 +8,10 @@ import time
 
 import pytest
 
-rclpy = pytest.importorskip('rclpy')
-
 
 def test_a_callback_that_blocks_is_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    rclpy = pytest.importorskip('rclpy')
+    from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
 
     from benchmarks.start.timed_node import add_timer
@@ -21,7 +21,7 @@ def test_a_callback_that_blocks_is_a_pause(monkeypatch: pytest.MonkeyPatch) -> N
     try:
         add_timer(times)
         node = Node('timed', context=context)
-        executor = rclpy.executors.SingleThreadedExecutor(context=context)
+        executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         blocked = node.create_timer(0.001, lambda: (blocked.cancel(), time.sleep(0.1)))
         while times.getvalue().count('\n') < 10:
