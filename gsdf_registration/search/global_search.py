@@ -11,7 +11,7 @@ other objects that were touched could pull the pose away, but some subset is fre
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -57,8 +57,7 @@ class Stage(NamedTuple):
     points : number used
     scales : of the weights, one per step, relative to the capture range
     fine : whether the fine nodes are used
-    dense : whether sparse points are left out, which are mostly in the air: they would pull a pose
-        that is still far off
+    dense : whether sparse points are left out in the first of two rankings
     survivors : maximum number of poses that proceed
     done : share of the whole work done after it
     """
@@ -122,8 +121,11 @@ def find_start_poses(points: Array,
             # unrefined, in case there is much interference, and refined from farther away
             starts = rotated_starts(T_bone_tracker @ rigid.inverse(T_principal_tracker))
             poses = Poses.concatenated([starts, _run_stage(work, FIRST, core, field, starts)])
-        for stage in STAGES:
-            poses = _run_stage(work, stage, core if stage.dense else points, field, poses)
+        # sparse points may be in the air and pull poses that are still far off; but without them,
+        # another object that was touched has a larger share of the points
+        sets = (core, points) if len(core) < len(chosen) else (core,)
+        poses = _alternated([_rank(work, near, points, field, poses, number, len(sets))
+                             for number, near in enumerate(sets)], points)
     return np.array([rigid.from_rt(R, t) @ T_principal_tracker
                      for R, t in zip(poses.R[:count], poses.t[:count])])
 
@@ -149,6 +151,29 @@ def _first_stage(points: Array, field: Field, rotations: Array, places: Array) -
     poses, cost = Poses(rotations[best // len(places)], places[best % len(places)]), cost[best]
     _refine(FIRST, points, field, poses, cost)
     return _survivors(FIRST, points, poses, cost).with_origin(-centroid)
+
+
+def _rank(work: _Work, near: Array, points: Array, field: Field, poses: Poses, number: int,
+          count: int) -> Poses:
+    """
+    Return the survivors of all `STAGES`, best first.
+
+    near : (k, 3) float, the points of the stages that are marked ``dense``
+    number, count : the ranking and how many there are, for the progress
+    """
+    for stage in STAGES:
+        share = (stage.done - FIRST.done) / (1.0 - FIRST.done)
+        poses = _run_stage(work, stage._replace(
+            done=FIRST.done + (1.0 - FIRST.done) * (number + share) / count),
+            near if stage.dense else points, field, poses)
+    return poses
+
+
+def _alternated(ranked: Sequence[Poses], points: Array) -> Poses:
+    """Return the distinct poses of several rankings: the best of each, the second of each, ..."""
+    places = np.concatenate([np.arange(len(each.R)) for each in ranked])
+    poses = Poses.concatenated(ranked).select(np.argsort(places, kind='stable'))
+    return poses.select(distinct(*poses, points, VOXEL, MOST_POSES))
 
 
 def _run_stage(work: _Work, stage: Stage, points: Array, field: Field, poses: Poses) -> Poses:
