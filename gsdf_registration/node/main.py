@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 import traceback
+import warnings
 from typing import TYPE_CHECKING, NoReturn
 
 from gsdf_registration.node.memory import limit_memory
@@ -108,6 +109,8 @@ class _Spinner(threading.Thread):
         if self._executor is not None:
             self._executor.shutdown(0.0)
         rclpy.try_shutdown()
+        # tasks that have not begun, as `RegistrationNode.start` after a signal at once, end here
+        warnings.filterwarnings('ignore', 'coroutine .* was never awaited', RuntimeWarning)
         # DDS announces the end of the node only once nothing refers to it any more
         self._node = self._executor = node = None
         gc.unfreeze()
