@@ -73,6 +73,13 @@ def about(cases: list[Case], seed: int, config: Config) -> dict[str, Any]:
     }
 
 
+def case_of(model: str | None, region: str | None = None) -> Case:
+    """Return the case of a model, mm, else of the shipped hip; in its first usual region."""
+    from benchmarks.protocol.cases import find_cases
+    from gsdf_registration.field.model import find_model
+    return find_cases([find_model(model or SHIPPED)], [region] if region else [])[0]
+
+
 def single_threaded(args: argparse.Namespace) -> Config:
     """Return the settings of ``--config``, with one thread for each search: a job has one core."""
     from msg_adapters.settings_file import read_config

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.live.measured_node import measured_node, require_ros
-from benchmarks.options import SHIPPED, add_seed_option
+from benchmarks.options import add_seed_option, case_of
 from gsdf_registration.clients.processes import running
 from gsdf_registration.common.command_line import example, number, positive_number, spinner
 
@@ -53,10 +53,8 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print the figures."""
     require_ros()
     from benchmarks.live.figures import simulated
-    from benchmarks.protocol.cases import find_cases
-    from gsdf_registration.field.model import find_model
 
-    case = find_cases([find_model(args.model or SHIPPED)], [])[0]
+    case = case_of(args.model)
     positions = simulated(case.bone, case.region, RATE, args.seconds, args.seed).positions
     with tempfile.TemporaryDirectory() as folder:
         model, faces = divided(case.bone, args.faces, Path(folder))

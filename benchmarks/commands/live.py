@@ -7,7 +7,7 @@ import argparse
 from typing import Any
 
 from benchmarks.live.measured_node import measured_node, require_ros
-from benchmarks.options import SHIPPED, add_seed_option
+from benchmarks.options import add_seed_option, case_of
 from gsdf_registration.common.command_line import example, number, spinner
 from gsdf_registration.common.result import InputError
 
@@ -43,14 +43,11 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print a table."""
     require_ros()
     from benchmarks.live.figures import COLUMNS, line, simulated, true_error
-    from benchmarks.protocol.cases import find_cases
-    from gsdf_registration.field.model import find_model
 
     rates = read_rates(args.rates)
     if not args.seconds >= 1.0:
         raise InputError('--seconds must be at least 1')
-    case = find_cases([find_model(args.model or SHIPPED)],
-                      [args.region] if args.region else [])[0]
+    case = case_of(args.model, args.region)
     print(f'{case.name}, {args.seconds:g} s per run; latency in ms\n')
     show(COLUMNS)
     for rate in rates:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.live.measured_node import STARTUP, node_command, require_ros
-from benchmarks.options import SHIPPED, add_seed_option
+from benchmarks.options import add_seed_option, case_of
 from gsdf_registration.clients.processes import running
 from gsdf_registration.common.command_line import example, positive_number, spinner
 from gsdf_registration.common.result import InputError
@@ -44,10 +44,8 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print the figures."""
     require_ros()
     from benchmarks.live.figures import simulated
-    from benchmarks.protocol.cases import find_cases
-    from gsdf_registration.field.model import find_model
 
-    case = find_cases([find_model(args.model or SHIPPED)], [])[0]
+    case = case_of(args.model)
     positions = simulated(case.bone, case.region, RATE, SECONDS, args.seed).positions
     print(f'{case.name}, {len(positions)} points in {SECONDS:g} s\n\n'
           'caches      active s  register s  longest pause ms  pauses > 50 ms')

@@ -7,7 +7,6 @@ It does not import numba, which reads ``NUMBA_CACHE_DIR`` and takes a second.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import platform
@@ -16,7 +15,12 @@ from pathlib import Path
 
 import llvmlite.binding
 
-from gsdf_registration.common.user_cache import is_writable, temporary_cache, user_cache
+from gsdf_registration.common.user_cache import (
+    hash_of_code,
+    is_writable,
+    temporary_cache,
+    user_cache,
+)
 
 PACKAGE = Path(__file__).parents[1]
 IN_PACKAGE = Path(__file__).parent / '__pycache__'
@@ -83,13 +87,10 @@ def _marker() -> Path | None:
     folder = cache_folder()
     if folder is None:
         return None
-    digest = hashlib.sha256(repr((
+    found = hash_of_code((
         str(PACKAGE), version('numba'), version('llvmlite'), platform.python_version(),
-        llvmlite.binding.get_host_cpu_name())).encode())
-    for name in KERNEL_FOLDERS:
-        for file in sorted((PACKAGE / name).glob('*.py')):
-            digest.update(file.read_bytes())
-    return folder / f'kernels-{digest.hexdigest()[:16]}.compiled'
+        llvmlite.binding.get_host_cpu_name()), (PACKAGE / name for name in KERNEL_FOLDERS))
+    return folder / f'kernels-{found[:16]}.compiled'
 
 
 _cached = _choose_cache()

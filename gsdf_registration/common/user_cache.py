@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 
@@ -29,6 +31,15 @@ def temporary_cache() -> Path:
     """Return the folder for this user among the temporary files."""
     user = os.getuid() if hasattr(os, 'getuid') else 0
     return Path(os.environ.get('TMPDIR') or '/tmp') / f'gsdf-{user}'
+
+
+def hash_of_code(facts: object, folders: Iterable[Path]) -> str:
+    """Return the hash of the Python sources in some folders, and of ``facts``, by its `repr`."""
+    digest = hashlib.sha256(repr(facts).encode())
+    for folder in folders:
+        for file in sorted(folder.glob('*.py')):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def is_writable(folder: Path, private: bool = False) -> bool:

@@ -19,8 +19,9 @@ from gsdf_registration.field.store import VERSION, load_field, save_field
 from gsdf_registration.mesh.bone import Bone
 
 # <hash of the bone>-<voxel size in micrometres>um-v<version>.gsdf, and the bone of a file, see
-# `gsdf_registration.field.known_bones`; what a killed process leaves has a further suffix
-NAME = re.compile(r'[0-9a-f]{32}(-\d+um-v\d+\.(gsdf|lock)|\.bone\.json).*')
+# `gsdf_registration.field.known_bones`; what a process leaves that is killed while it writes has
+# a further suffix and may begin with a dot
+NAME = re.compile(r'\.?[0-9a-f]{32}(-\d+um-v\d+\.(gsdf|lock)|\.bone\.json).*')
 
 _log = logging.getLogger('gsdf_registration')
 

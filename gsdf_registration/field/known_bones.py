@@ -13,8 +13,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import os
-import tempfile
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -22,8 +20,11 @@ from typing import NamedTuple
 
 import gsdf_registration
 import msg_adapters
+from gsdf_registration.common.result import InputError
+from gsdf_registration.common.user_cache import hash_of_code
 from gsdf_registration.field.cache import cache_directory
 from gsdf_registration.mesh.bone import Bone
+from msg_adapters.files import write_atomically
 
 KINDS = ('.stl', '.ply', '.obj', '.off')    # files whose surface is in no other file
 PACKAGE = Path(gsdf_registration.__file__).parent
@@ -68,12 +69,9 @@ def known_bone(key: str) -> KnownBone | None:
 def remember(key: str, bone: Bone) -> None:
     """Write the entry of a bone; without an error if the cache cannot be written."""
     entry = _entry(key)
-    with suppress(OSError):
+    with suppress(OSError, InputError):
         entry.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile('w', dir=entry.parent, prefix=entry.name, suffix='.tmp',
-                                         delete=False, encoding='utf-8') as file:
-            json.dump({'bone_sha256': bone.sha256, 'notes': bone.notes}, file)
-        os.replace(file.name, entry)
+        write_atomically(entry, json.dumps({'bone_sha256': bone.sha256, 'notes': bone.notes}))
 
 
 def _entry(key: str) -> Path:
@@ -83,8 +81,4 @@ def _entry(key: str) -> Path:
 @functools.cache
 def _code() -> str:
     """Return the hash of the code that reads and repairs a mesh."""
-    digest = hashlib.sha256(repr([version(name) for name in LIBRARIES]).encode())
-    for folder in CODE:
-        for file in sorted(folder.glob('*.py')):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
+    return hash_of_code([version(name) for name in LIBRARIES], CODE)

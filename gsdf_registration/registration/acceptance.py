@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from gsdf_registration.common.result import NextTouch, Reason, Refusal
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.candidate import Candidate
-from gsdf_registration.registration.confidence import Confidence
 from gsdf_registration.registration.free_space import Blocked
 from gsdf_registration.registration.guidance import distinguishing_touch, next_touches
 from gsdf_registration.registration.landmarks import MIN_LANDMARKS, named_points
@@ -184,8 +184,9 @@ def _check_error(candidate: Candidate, touched: Array, field: Field,
     part, limit = required_part(candidate.errors, config), config.limits.max_error
     if part.p95 <= limit:
         return
-    tip = float(Confidence(np.zeros((6, 6)), np.zeros(3), 0.0, 1.0,
-                           tip_error=config.probe.tip_error).p95(np.zeros((1, 3)))[0])
+    # by the error of the tip alone, which is the same at all places
+    alone = replace(candidate.confidence, motion_covariance=np.zeros((6, 6)))
+    tip = float(alone.p95(alone.centroid[None])[0])
     if tip > limit:
         yield Refusal(Reason.UNDER_CONSTRAINED,
                       f'the error of the tip may be {format_length(tip)} (95 %), '

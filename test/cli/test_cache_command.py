@@ -27,6 +27,9 @@ def test_fields_are_listed_and_deleted_and_other_files_stay(
     cached_field(ball, 0.004)
     remember('0' * 64, ball)
     (folder / 'notes.txt').write_text('mine')
+    field, = folder.glob('*.gsdf')      # what killed processes leave
+    for name in (f'{field.name}ab12.tmp', f'.{field.name}.ab12'):
+        (folder / name).touch()
     size = sum(path.stat().st_size for path in cached_files())
     assert main(['cache', 'list']) == 0
     first, last = capsys.readouterr().out.splitlines()
