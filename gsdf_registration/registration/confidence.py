@@ -24,7 +24,7 @@ from gsdf_registration.solver import PARAMETERS, Solution, before, nearest_neigh
 
 # The residuals show the part of the error of the model that no motion explains. The other part is
 # larger: an error that varies slowly looks like a motion. From `benchmarks calibration`.
-MODEL_FACTOR = 2.5
+MODEL_FACTOR = 1.6
 MIN_SHARE = 0.1     # of the information that doubtful points may leave
 # 95 % quantile of chi-square for 1 to 3 degrees of freedom
 FREEDOM = np.linspace(1.0, 3.0, 65)
@@ -282,7 +282,7 @@ def _noise_covariance(solution: Solution) -> Array | None:
 def _variance(solution: Solution) -> float:
     """Return the variance of the noise of a point of precision 1, m^2."""
     w, e, p = solution.weights, np.nan_to_num(solution.residuals), solution.precision
-    if len(solution.touches):
+    if 2 * len(solution.touches) > len(e):
         # the pose fits a part of the noise of a few touches, and an estimate from few is uncertain:
         # the variance of Student's t, n / (n - 2) for n degrees of freedom
         return float((w * (p * e) ** 2).sum() / max(w.sum() - PARAMETERS - 2.0, 1.0))

@@ -27,13 +27,14 @@ from gsdf_registration.solver.gauss_newton import (
     update,
     write_rows,
 )
+from gsdf_registration.solver.mixture import local_means
 
 PRIOR_POINTS = 20.0     # weight of the prior that the noise is isotropic, in points
 MIN_VARIANCE = 0.1      # of the mean variance: lower limit along any axis
 
 
 @kernel
-def bias_correction(field, points, R, t, weight, noise, e, J, precision, strokes):
+def bias_correction(field, points, R, t, weight, noise, e, J, precision, neighbours, thickness):
     """
     Take one corrective step, in place on ``R`` (3, 3), ``t`` (3,).
 
@@ -41,16 +42,20 @@ def bias_correction(field, points, R, t, weight, noise, e, J, precision, strokes
     weight : (n,) probability that a point is on the bone
     noise : standard deviation of a point along the normal
     e, J : (n,), (n, 6) residuals and derivatives at the pose; updated to the new pose, without bias
-    precision : (n,) filled with the mean noise over the noise along the normal of each point, for
-        the first ``strokes`` points; that of touches, which follow, is given: there are too few to
-        tell the directions apart
+    precision : (n,) filled with the mean noise over the noise along the normal of each point on a
+        stroke; that of touches, which follow, is given: there are too few to tell the directions
+        apart
+    neighbours : (s, K) nearest neighbours of each point on a stroke, itself first
+    thickness : of the layer around the bone in which interference is modelled
 
     Returns False, and takes no step, if the points do not constrain the pose.
     """
     _remove_bias(field, points, R, t, weight, noise, e, J, precision)
-    s = strokes
-    _estimate_precision(e[:s], J[:s], weight[:s], precision[:s])
-    n = len(e)
+    n, s = len(e), len(neighbours)
+    # what neighbours share is an error of the model or the pose, not noise
+    shared = np.empty(n)
+    local_means(e, neighbours, thickness, np.empty(2 * s), shared)
+    _estimate_precision(e[:s] - shared[:s], J[:s], weight[:s], precision[:s])
     w = np.empty(n)
     for k in range(n):
         w[k] = weight[k] * precision[k] * precision[k]
@@ -125,8 +130,9 @@ def _estimate_precision(e, J, weight, precision):
     """
     Fill ``precision`` (n,) with the mean noise over the noise along the normal of each point.
 
-    The variance along a normal g is g^T S g. S is fitted to the squared residuals by least squares,
-    with an isotropic prior worth `PRIOR_POINTS` points.
+    The variance along a normal g is g^T S g. S is fitted to the squared differences ``e`` of the
+    residuals from those of their neighbours by least squares, with an isotropic prior worth
+    `PRIOR_POINTS` points.
     """
     A, b, s = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
     row = np.empty(6)

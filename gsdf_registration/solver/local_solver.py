@@ -202,7 +202,7 @@ def _mixture(points: Array,
     if correction is None:
         if ended != gauss_newton.SINGULAR:
             bias_correction(field.arrays, centred, R, t, weight, found[0], e, J, precision,
-                            len(neighbours))
+                            neighbours, INTERFERENCE_RANGE)
         correction = _pose(centroid, R, t) @ rigid.inverse(uncorrected)
     return _solution(correction @ uncorrected, correction, weight, e, precision, J, curvature,
                      consistent, likelihood, ended, steps[:iterations], history, touches,

@@ -88,7 +88,7 @@ def expectation_maximization(field, points, R, t, neighbours, touches, weight, c
     last = len(history) - 1
     for iteration in range(len(history)):
         linearize(field, points, R, t, keep, e, J)
-        _local_means(e, neighbours, thickness, work, mean)
+        local_means(e, neighbours, thickness, work, mean)
         # In late iterations the estimates are frozen and steps shrink; otherwise the pose could
         # oscillate across a crease
         late = iteration - len(history) // 4
@@ -183,7 +183,7 @@ def _is_consistent(mean, white):
 
 
 @kernel
-def _local_means(e, neighbours, thickness, near, mean):
+def local_means(e, neighbours, thickness, near, mean):
     """
     Fill ``mean`` (n,) with the mean residual of each point's neighbours, without far points.
 
@@ -288,7 +288,7 @@ def weights_with_error(e: Array, neighbours: NDArray[np.int64], noise: float, in
     n, K = neighbours.shape
     mean, weight, information = np.zeros((3, n))
     local_sd = math.sqrt(error_sd**2 + noise**2 / K)
-    _local_means(e, neighbours, INTERFERENCE_RANGE, np.zeros(2 * n), mean)
+    local_means(e, neighbours, INTERFERENCE_RANGE, np.zeros(2 * n), mean)
     _expectation(e, mean, inlier_ratio, noise, local_sd, INTERFERENCE_RANGE, weight)
     _observed_information(mean, weight, local_sd, n, np.zeros(0), information)
     return weight, information
@@ -317,6 +317,6 @@ def patch_likelihood(e: Array, neighbours: NDArray[np.int64], local_sd: float,
 def _patch_likelihood(e, neighbours, local_sd, variance, thickness):
     s, K = neighbours.shape
     mean = np.zeros(len(e))
-    _local_means(e, neighbours, thickness, np.zeros(2 * s), mean)
+    local_means(e, neighbours, thickness, np.zeros(2 * s), mean)
     return (_log_likelihood(mean[:s], K, 0.5, local_sd, thickness)
             + touch_likelihood(e[s:], variance, 0.5, thickness, OUTSIDE_SHARE))

@@ -12,7 +12,9 @@ Neither size nor length of the error is known. Each combination has a prior prob
 depends on what the user knows of the model, and a restricted likelihood (REML; Patterson and
 Thompson 1971), that of the part of the residuals that no motion and no offset explains. The mean
 covariance over all combinations is used: that of the error given the residuals. With noise alone,
-it is small; there is no threshold.
+it is small; there is no threshold. It is used with two priors: for the pose most models are taken
+to be exact, as weights for an error that is not there cost accuracy; for what is stated fewer are,
+as that must be true also if an error does not show.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver.process_matrices import (
     add_matern,
+    cell_covariance,
     factor,
-    factored_covariance,
     gram,
     solve,
     tridiagonalize,
@@ -45,7 +47,9 @@ MIN_CELLS = 12      # twice the degrees of freedom
 LENGTHS = np.array([0.004, 0.008, 0.016, 0.032, 0.064])     # m, equally probable
 # Standard deviations of the local error and of the offset, over the expected one
 SIZES = np.array([0.0, 0.1, 0.16, 0.26, 0.43, 0.7, 1.15, 1.9, 3.1, 5.0])
-EXACT = 0.6         # prior probability that there is no such error, `benchmarks calibration`
+# Prior probability that there is no such error, for the pose and for what is stated of it; from
+# `benchmarks calibration`
+EXACT, STATED_EXACT = 0.9, 0.5
 MIN_RANK = 1e-9     # smallest eigenvalue of a scaled information matrix that constrains all motions
 FOUND = 0.95        # probability of an error that is reported
 
@@ -57,7 +61,7 @@ def _prior(sizes: Array, exact: float) -> Array:
     return np.concatenate([[exact], (1.0 - exact) * np.diff(below)])
 
 
-PRIOR = _prior(SIZES, EXACT)
+PRIOR, STATED_PRIOR = _prior(SIZES, EXACT), _prior(SIZES, STATED_EXACT)
 
 
 class ModelError(NamedTuple):
@@ -69,8 +73,8 @@ class ModelError(NamedTuple):
     noise : float, m, standard deviation of the independent noise of a point of precision 1
     jacobian : (n, 6) float, of the residuals, less the part that the local error may explain
     information_loss : (6, 6) float, by which it reduces the information J^T W J
-    score_covariance : (6, 6) float, its contribution to the covariance of J^T W e, in units of the
-        squared noise
+    score_covariance : (6, 6) float, its stated contribution to the covariance of J^T W e, in units
+        of the squared noise
     step : (6,) float, motion to the most likely pose
     offset_covariance : (6, 6) float, of this pose, due to the offset
     residuals : (n,) float, m, at this pose
@@ -93,11 +97,13 @@ class ErrorVariances(NamedTuple):
 
     expected : float, m, standard deviation that the user expects
     local : (k,) float, m^2, mean variance of the local error for each of `LENGTHS`
+    stated : (k,) float, m^2, the same with the prior for what is stated
     found : float, probability that there is a local error
     """
 
     expected: float
     local: Array
+    stated: Array
     found: float
 
 
@@ -156,9 +162,8 @@ def error_variances(x: Array, e: Array, J: Array, weight: Array, precision: Arra
     if cells is None or not cells.within > 0.0:
         # too few to tell error and noise apart, but the error is not larger than the residuals
         freedom = max(float(weight.sum()) - len(J[0]), 1.0)
-        p = PRIOR * (squares <= float((weight * (precision * e)**2).sum()) / freedom)
-        share = np.full(len(LENGTHS), 1.0 / len(LENGTHS))
-        return ErrorVariances(expected, share * (p @ squares / p.sum()), 1.0 - p[0] / p.sum())
+        possible = squares <= float((weight * (precision * e)**2).sum()) / freedom
+        return _mean(expected, np.tile(PRIOR * possible, (len(LENGTHS), 1)))
     scale = np.sqrt(np.maximum((cells.J**2).sum(axis=0), 1e-300))
     rows = np.concatenate([cells.J.T / scale[:, None], cells.root[None], cells.e[None]])
     probability = np.zeros((len(LENGTHS), len(SIZES)))
@@ -166,7 +171,15 @@ def error_variances(x: Array, e: Array, J: Array, weight: Array, precision: Arra
                squares / cells.noise**2, PRIOR, LENGTHS, probability)
     if not np.isfinite(probability).all():
         raise np.linalg.LinAlgError
-    return ErrorVariances(expected, probability @ squares, 1.0 - float(probability[:, 0].sum()))
+    return _mean(expected, probability)
+
+
+def _mean(expected: float, probability: Array) -> ErrorVariances:
+    """Return mean variances, given the ``probability`` (lengths, sizes) of the error, unscaled."""
+    squares, total = (expected * SIZES)**2, float(probability.sum())
+    stated = probability * (STATED_PRIOR / PRIOR)
+    return ErrorVariances(expected, probability @ squares / total, stated @ squares / stated.sum(),
+                          1.0 - float(probability[:, 0].sum()) / total)
 
 
 class Allowance:
@@ -196,8 +209,11 @@ class Allowance:
             raise np.linalg.LinAlgError
         self._variances, self._cells, self._weight = variances, cells, weight * precision**2
         self._noise = cells.noise if cells.points > 1.5 * len(cells.e) else noise
-        self._U = factored_covariance(cells.distance, cells.root,
-                                       variances.local / self._noise**2, LENGTHS)
+        local, self._stated = (
+            cell_covariance(cells.distance, cells.root, variance / self._noise**2, LENGTHS)
+            for variance in (variances.local, variances.stated))
+        self._U = local + np.eye(len(local))
+        factor(self._U)
 
     def error(self, e: Array, J: Array) -> ModelError:
         """Return the error for residuals ``e`` (n,) and derivatives ``J`` (n, 6) at a pose."""
@@ -220,7 +236,7 @@ class Allowance:
         return ModelError(
             math.sqrt(variances.local.sum()) if variances.found > FOUND else 0.0, offset,
             self._noise, reduced[:6].T, means[:6] @ (means - rest)[:6].T,
-            rest[:6] @ (means - rest)[:6].T, slope * offset - C @ b[:6],
+            rest[:6] @ self._stated @ rest[:6].T, slope * offset - C @ b[:6],
             variance * np.outer(slope, slope), e)
 
 
@@ -238,7 +254,7 @@ def _shrunk(value: float, variance: float, expected: float) -> tuple[float, floa
     squares = (expected * SIZES)**2
     total = squares + variance
     exponent = -0.5 * value**2 / total
-    p = PRIOR * np.exp(exponent - exponent.max()) / np.sqrt(total)
+    p = STATED_PRIOR * np.exp(exponent - exponent.max()) / np.sqrt(total)
     p /= p.sum()
     share = squares / total
     mean = float(p @ share)

@@ -15,13 +15,12 @@ from gsdf_registration.common.numba_options import kernel
 
 
 @kernel
-def factored_covariance(distance, root, variance, lengths):
-    """Return U (m, m), U^T U = V = I + S of the cells; ``variance`` (k,) in units of the noise."""
-    V = np.eye(len(root))
+def cell_covariance(distance, root, variance, lengths):
+    """Return the covariance S (m, m) of the cells; ``variance`` (k,) in units of the noise."""
+    S = np.zeros((len(root), len(root)))
     for i in range(len(lengths)):
-        add_matern(distance, root, lengths[i], variance[i], V)
-    factor(V)
-    return V
+        add_matern(distance, root, lengths[i], variance[i], S)
+    return S
 
 
 @kernel

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from smooth_bone import bone_field, touched_points
+from smooth_bone import bone_field, touched_points, with_model_error
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
@@ -23,7 +23,12 @@ from gsdf_registration.registration.confidence import (
     assess_at,
     predicted_tre,
 )
-from gsdf_registration.solver import Solution, nearest_neighbours, solve
+from gsdf_registration.solver import (
+    Solution,
+    allow_for_model_error,
+    nearest_neighbours,
+    solve,
+)
 
 TRIALS = 200
 SIGMA = 5e-4
@@ -224,3 +229,17 @@ def test_an_error_of_the_model_never_makes_the_pose_more_certain() -> None:
     assert np.linalg.eigvalsh(excess / np.outer(units, units)).min() > -1e-12
     larger = noise + np.diag(units**2)
     np.testing.assert_allclose(_excess(larger, noise), np.diag(units**2), atol=1e-18)
+
+
+def test_a_rest_among_strokes_does_not_add_the_error_of_the_model_to_the_noise() -> None:
+    """One touch beside 800 points: the noise is that of the points about their neighbours."""
+    points = with_model_error(touched_points(800, 1), 1, 5e-4, 0.012)
+    points = points + 1.5e-4 * np.random.default_rng(1).normal(size=points.shape)
+    sd = []
+    for touches in (np.zeros(0), np.ones(1)):
+        solution = solve(points, bone_field(), np.eye(4), SolverConfig(), touches=touches)
+        solution = allow_for_model_error(solution, points, bone_field(), 2.5e-4)
+        confidence = assess_at(solution, points, bone_field(), 0.0)
+        assert confidence is not None
+        sd.append(np.sqrt(np.diag(confidence.motion_covariance - confidence.model_covariance)))
+    np.testing.assert_allclose(sd[1], sd[0], rtol=0.1)

@@ -5,13 +5,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from smooth_bone import T_TRACKER_BONE, ball_mesh, bone_field, field_of, touched_points
+from smooth_bone import (
+    T_TRACKER_BONE,
+    ball_mesh,
+    bone_field,
+    field_of,
+    touched_points,
+    with_model_error,
+)
 
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import SolverConfig
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver import Solution, solve
 from gsdf_registration.solver.bias_correction import bias_correction
+from gsdf_registration.solver.mixture import INTERFERENCE_RANGE
 
 CONFIG = SolverConfig()
 T_BONE_TRACKER = rigid.inverse(T_TRACKER_BONE)
@@ -72,6 +80,15 @@ def test_isotropic_noise_gives_nearly_equal_precision() -> None:
     assert np.abs(solution.precision - 1.0).max() < 0.15
 
 
+def test_an_error_of_the_model_is_not_taken_for_anisotropic_noise() -> None:
+    for seed in range(6):
+        points = with_model_error(touched_points(1000, seed), seed, 5e-4, 0.012)
+        noise = 1.5e-4 * np.random.default_rng(seed).normal(size=points.shape)
+        points = rigid.transform(T_TRACKER_BONE, points + noise)
+        solution = solve(points, bone_field(), T_BONE_TRACKER, CONFIG)
+        assert np.abs(solution.precision - 1.0).max() < 0.25
+
+
 def test_anisotropic_weights_reduce_the_error() -> None:
     sigma = np.array([2e-4, 2e-4, 8e-4])
     error = np.zeros(2)
@@ -91,5 +108,5 @@ def test_takes_no_step_on_a_plane() -> None:
     J[:, 5] = 1.0
     # with weight 0, the rows of J are left as they are
     assert not bias_correction(bone_field().arrays, points, R, t, np.zeros(n), 1e-4, np.ones(n), J,
-                         np.ones(n), n)
+                         np.ones(n), np.arange(n)[:, None], INTERFERENCE_RANGE)
     assert (np.eye(3) == R).all() and (t == 0.0).all()

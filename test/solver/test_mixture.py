@@ -31,10 +31,10 @@ from gsdf_registration.solver.mixture import (
     OUTLIER_EXCESS,
     OUTSIDE_SHARE,
     _expectation,
-    _local_means,
     _log_likelihood,
     _observed_information,
     _white_noise,
+    local_means,
 )
 
 CONFIG = SolverConfig()
@@ -243,7 +243,7 @@ def some_residuals(far: bool) -> tuple[Array, np.ndarray]:
 def test_local_means_exclude_far_points(far: bool) -> None:
     e, neighbours = some_residuals(far)
     mean = np.zeros(300)
-    _local_means(e, neighbours, INTERFERENCE_RANGE, np.zeros(600), mean)
+    local_means(e, neighbours, INTERFERENCE_RANGE, np.zeros(600), mean)
     close = np.abs(e[neighbours]) < 2.0 * INTERFERENCE_RANGE
     expected = np.where(close, e[neighbours], 0.0).sum(axis=1) / np.maximum(close.sum(axis=1), 1)
     expected = np.where(close.any(axis=1), expected, e)

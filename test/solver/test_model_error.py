@@ -23,6 +23,8 @@ from gsdf_registration.solver.model_error import (
     LENGTHS,
     PRIOR,
     SIZES,
+    STATED_EXACT,
+    STATED_PRIOR,
     Allowance,
     ErrorVariances,
     _group,
@@ -79,7 +81,7 @@ class Trial(NamedTuple):
 def trials() -> list[Trial]:
     surface = bone_field().surface_points[::10].astype(np.float64)
     found = []
-    for seed in range(30):
+    for seed in range(60):
         points = measured(seed)
         figures = []
         for solution in (solved(points), allowed_for(solved(points), points)):
@@ -183,8 +185,8 @@ def test_information_agrees_with_the_full_covariance() -> None:
     e, J, w = solution.residuals, solution.jacobian, np.full(300, 0.9)
     precision = np.linspace(0.8, 1.2, 300)
     variances = (2.0 * ERROR)**2 * np.array([0.0, 0.3, 0.5, 0.2, 0.0])
-    error = Allowance(ErrorVariances(EXPECTED, variances, 1.0), x, e, J, w, precision, SIGMA).error(
-        e, J)
+    error = Allowance(ErrorVariances(EXPECTED, variances, variances, 1.0), x, e, J, w, precision,
+                      SIGMA).error(e, J)
     cells = _group(x, e, J, w, precision, *FINE)
     assert cells is not None
     among = np.zeros(cells.distance.shape)
@@ -199,8 +201,13 @@ def test_information_agrees_with_the_full_covariance() -> None:
     assert (np.abs((error.jacobian.T * weight) @ J / error.noise**2 - information)
             < 1e-9 * scale).all()
     # for generalized least squares, the covariance of J^T W e equals the information
-    between = (error.jacobian.T * weight**2 / weight) @ error.jacobian + error.score_covariance
+    between = (error.jacobian.T * weight) @ error.jacobian + error.score_covariance
     assert (np.abs(between / error.noise**2 - information) < 1e-9 * scale).all()
+    # what is stated may assume a larger error than the pose
+    larger = Allowance(ErrorVariances(EXPECTED, variances, 2.0 * variances, 1.0), x, e, J, w,
+                       precision, SIGMA).error(e, J)
+    np.testing.assert_array_equal(larger.step, error.step)
+    np.testing.assert_allclose(larger.score_covariance, 2.0 * error.score_covariance)
 
 
 def test_the_posterior_is_prior_times_density_of_the_residual_contrasts() -> None:
@@ -242,8 +249,9 @@ def test_the_tridiagonal_form_gives_the_same_products_as_the_full_matrix() -> No
     assert factor(V.copy()) == pytest.approx(log_det)
 
 
-def test_the_prior_probabilities_add_up() -> None:
-    assert PRIOR.sum() == pytest.approx(1.0) and PRIOR[0] == EXACT and (PRIOR > 0.0).all()
+@pytest.mark.parametrize('prior, exact', [(PRIOR, EXACT), (STATED_PRIOR, STATED_EXACT)])
+def test_the_prior_probabilities_add_up(prior: Array, exact: float) -> None:
+    assert prior.sum() == pytest.approx(1.0) and prior[0] == exact and (prior > 0.0).all()
 
 
 def test_few_points_have_the_expected_error_but_none_above_their_residuals() -> None:
@@ -254,8 +262,8 @@ def test_few_points_have_the_expected_error_but_none_above_their_residuals() -> 
             few, np.full(60, share * expected), np.zeros((60, 6)), np.ones(60), np.ones(60),
             expected) for share in (6.0, 0.3))
         assert large.found == pytest.approx(1.0 - EXACT)
-        assert np.sqrt(large.local.sum()) == pytest.approx(
-            expected * np.sqrt(PRIOR @ SIZES**2))
+        for variances, prior in ((large.local, PRIOR), (large.stated, STATED_PRIOR)):
+            assert np.sqrt(variances.sum()) == pytest.approx(expected * np.sqrt(prior @ SIZES**2))
         assert np.sqrt(small.local.sum()) < 0.32 * expected and small.found < 1.0 - EXACT
 
 
