@@ -104,6 +104,8 @@ def parameter(name: str, value: Any) -> Any:
              (str, 4, 'string_value'), (list, 8, 'double_array_value')]
     number, field = next((number, field) for kind, number, field in kinds
                          if isinstance(value, kind))
+    if number == 8 and value and isinstance(value[0], str):
+        number, field = 9, 'string_array_value'
     values = {'bool_value': False, 'integer_value': 0, 'double_value': 0.0, 'string_value': '',
               'byte_array_value': np.zeros(0, np.uint8), 'bool_array_value': np.zeros(0, bool),
               'integer_array_value': np.zeros(0, np.int64), 'double_array_value': np.zeros(0),
@@ -220,6 +222,9 @@ class RecordedOperation:
             answer = session.clear()
         elif name == 'parameters':
             session.configure(session.config.replaced(request))
+            if 'probe.topics' in request:       # new subscriptions
+                self._transformer.finish()
+                self._transformer = PointTransformer(session, None)
             answer = Answer(True, '')
         elif name == 'initial_pose':
             answer = session.set_initial_pose(np.array(request['T_tracker_bone']),

@@ -182,6 +182,10 @@ class Inputs:
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
 
+    def finish(self) -> None:
+        """Reject the points that wait for a pose or a transform; none follows."""
+        self._transformer.finish()
+
     def clear(self) -> None:
         """Drop waiting points, for a new session."""
         self._transformer.clear()

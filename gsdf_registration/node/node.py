@@ -382,6 +382,7 @@ class RegistrationNode(PreparedLifecycleNode):
             self._reloader.start()
         if self._inputs is not None and inputs is not None:
             if inputs is not self._inputs:
+                self._inputs.finish()
                 self._inputs.destroy()
                 self._inputs = inputs
                 if self.state == 'active':

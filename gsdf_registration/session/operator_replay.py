@@ -133,6 +133,9 @@ class OperatorReplay:
             # names and positions may have been set by one request after the other
             with contextlib.suppress(UnmatchedPlaces):
                 session.configure(recorded_config(self._settings, self._settle))
+            if 'probe.topics' in request:       # new subscriptions
+                self._transformer.finish()
+                self._transformer.reset()
         elif event.name in ('configure', 'activate', 'deactivate', 'model'):
             self.receiving = True
             self._check_model(request.get('model_sha256'))

@@ -238,6 +238,23 @@ def test_the_poses_of_an_array_end_with_the_configuration(moving: WithArray,
     assert done.session.status().rejected['no_reference'] > 2
 
 
+def test_samples_that_wait_while_the_topics_change_are_counted(moving: WithArray,
+                                                               tmp_path: Path) -> None:
+    run, points = moving.run, touched_points(600, sigma=0.0002)
+    run.call('collect', data=True)
+    moving.tip(points[:100])
+    before = run.session.status()
+    waiting = 100 - before.received
+    assert waiting > 0
+    run.call('parameters', **{'probe.topics': [TIP, '/probe/other']})
+    after = run.session.status()
+    assert after.received == 100
+    assert after.rejected['no_reference'] == before.rejected['no_reference'] + waiting
+    moving.tip(points, hidden=slice(3))         # before the first pose of the new subscription
+    assert run.call('register', T_tracker_bone=moving.T_array_bone.tolist()).success
+    assert_replayed(run, tmp_path, None)
+
+
 def test_the_centre_of_a_joint_and_a_landmark_that_is_captured_while_it_is_found(
         moving: WithArray, tmp_path: Path) -> None:
     run = moving.run
