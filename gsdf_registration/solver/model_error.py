@@ -32,7 +32,6 @@ from gsdf_registration.common.numba_options import kernel
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.solver.process_matrices import (
     add_matern,
-    cell_covariance,
     factor,
     gram,
     solve,
@@ -209,10 +208,13 @@ class Allowance:
             raise np.linalg.LinAlgError
         self._variances, self._cells, self._weight = variances, cells, weight * precision**2
         self._noise = cells.noise if cells.points > 1.5 * len(cells.e) else noise
-        local, self._stated = (
-            cell_covariance(cells.distance, cells.root, variance / self._noise**2, LENGTHS)
-            for variance in (variances.local, variances.stated))
-        self._U = local + np.eye(len(local))
+        self._U = np.eye(len(cells.e))
+        self._stated = np.zeros_like(self._U)
+        for length, *both in zip(LENGTHS, variances.local, variances.stated):
+            S = np.zeros_like(self._U)
+            add_matern(cells.distance, cells.root, length, 1.0, S)
+            for V, variance in zip((self._U, self._stated), both):
+                V += variance / self._noise**2 * S
         factor(self._U)
 
     def error(self, e: Array, J: Array) -> ModelError:

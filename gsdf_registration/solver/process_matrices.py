@@ -15,15 +15,6 @@ from gsdf_registration.common.numba_options import kernel
 
 
 @kernel
-def cell_covariance(distance, root, variance, lengths):
-    """Return the covariance S (m, m) of the cells; ``variance`` (k,) in units of the noise."""
-    S = np.zeros((len(root), len(root)))
-    for i in range(len(lengths)):
-        add_matern(distance, root, lengths[i], variance[i], S)
-    return S
-
-
-@kernel
 def add_matern(distance, root, length, variance, S):
     """Add the Matern 3/2 covariance of cells to S (m, m), scaled by the roots of the weights."""
     for i in range(len(S)):
