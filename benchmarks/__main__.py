@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from gsdf_registration.common.command_line import Parser, example, run_command
 
 BENCHMARKS = ('field', 'solve', 'search', 'trust', 'calibration', 'paper', 'guided', 'live',
-              'console', 'start', 'pivot', 'air', 'landmarks', 'archive', 'fixtures')
+              'console', 'start', 'pivot', 'air', 'landmarks', 'archive', 'phantom',
+              'fixtures')
 
 
 def make_parser() -> Parser:
