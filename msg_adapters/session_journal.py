@@ -40,8 +40,9 @@ from msg_adapters.packed_rows import packed, unpacked
 from msg_adapters.session_file import now
 
 SCHEMA = 'gsdf-journal/3'
+OF_THE_PROBE = ('tip', 'tip_radius', 'tip_error')
 # repeated at the start of the next file
-PERSISTENT = frozenset({'model', 'collecting', 'tip', 'tip_radius'})
+PERSISTENT = frozenset({'model', 'collecting', *OF_THE_PROBE})
 WORTH_KEEPING = frozenset({'point', 'landmark', 'verification', 'registration'})
 MAX_SIZE = 1_000_000_000    # bytes of a journal that is read
 MAX_HEAD = 1000
@@ -153,7 +154,7 @@ class SessionJournal:
         """Start a file with a whole session."""
         persistent = {'model': _body('model', session['model_sha256']),
                       'collecting': _body('collecting', session['collecting'])}
-        for name in ('tip', 'tip_radius'):
+        for name in OF_THE_PROBE:
             value = session['parameters'].get(f'probe.{name}')
             if value:
                 persistent[name] = _body(name, value)

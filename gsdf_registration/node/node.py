@@ -235,10 +235,10 @@ class RegistrationNode(PreparedLifecycleNode):
                 raise InputError(f'{change.name} is not set: {result.reason}')
 
     def adopt_tip(self) -> None:
-        """Set ``probe.tip`` to that of a session that was loaded, see `SessionState.restore`."""
-        tip = self.session.config.probe.tip
-        if tip != list(self.get_parameter('probe.tip').value):
-            self.set_tip(tip, None)
+        """Set tip and error to those of a session that was loaded, see `SessionState.restore`."""
+        probe = self.session.config.probe
+        if probe.tip != list(self.get_parameter('probe.tip').value):
+            self.set_tip(probe.tip, probe.tip_error)
             self.get_logger().info('probe.tip was not set; that of the session is used')
 
     def publish_status(self) -> None:

@@ -30,6 +30,7 @@ no_pose       why the accepted registration is withdrawn; the points stay
 tip           [x, y, z] of the tip in the frame of the tool, or []: what was touched with a tool is
               at another place, see `tool_pose`
 tip_radius    radius of the ball at the end of the probe, m
+tip_error     expected error of the tip, m
 ============  ======================================================================================
 """
 
@@ -116,8 +117,8 @@ class Replay:
             session['verifications'].append(value)
         elif event == 'tip':
             self._apply_tip(value)
-        elif event == 'tip_radius':
-            session['parameters'] = {**session['parameters'], 'probe.tip_radius': value}
+        elif event in ('tip_radius', 'tip_error'):
+            session['parameters'] = {**session['parameters'], f'probe.{event}': value}
         elif event == 'registration':
             self._register(value)
         elif event == 'no_pose':

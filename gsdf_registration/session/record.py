@@ -70,6 +70,7 @@ class SessionRecord:
     tip: list[float]                    # ``probe.tip`` that the positions were computed with
     air: list[Row]                      # where the probe was in the air
     tip_radius: float = 0.0             # m, ``probe.tip_radius`` that the pose was found with
+    tip_error: float = 0.0              # m, ``probe.tip_error`` of this tip
 
     def to_dict(self, config: Config) -> dict[str, Any]:
         """Return the record with settings and versions: plain values, and the rows of points."""
@@ -118,6 +119,7 @@ class SessionRecord:
                 tip=_tip(record['parameters'].get('probe.tip', [])),
                 air=[_air_row(row) for row in record.get('air', [])],
                 tip_radius=number(record['parameters'].get('probe.tip_radius', 0.0)),
+                tip_error=number(record['parameters'].get('probe.tip_error', 0.0)),
                 result=result_from_dict(record['result']), pose_result=accepted,
                 pose_frame_id=text(record['frames']['pose']))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:

@@ -78,10 +78,11 @@ class SessionState:
             return
         listener('model', self._model_sha256)
         listener('collecting', self.collection.collecting)
-        if self.config.probe.tip:
-            listener('tip', self.config.probe.tip)
-        if self.config.probe.tip_radius:
-            listener('tip_radius', self.config.probe.tip_radius)
+        probe = self.config.probe
+        for name, value in (('tip', probe.tip), ('tip_radius', probe.tip_radius),
+                            ('tip_error', probe.tip_error)):
+            if value:
+                listener(name, value)
         for topic in self._source_of:
             listener('source', topic)
         self._reported_frame = None
@@ -326,6 +327,8 @@ class SessionState:
             self._apply_tip(config.probe.tip)
         if config.probe.tip_radius != before.probe.tip_radius:
             self._apply_tip_radius(config.probe.tip_radius)
+        if config.probe.tip_error != before.probe.tip_error:
+            self._report('tip_error', config.probe.tip_error)
 
     def _apply_tip_radius(self, radius: float) -> None:
         """Use another radius of the ball tip; the points, which are its centres, stay."""
@@ -413,16 +416,16 @@ class SessionState:
             list(self.verifications), self.result,
             None if accepted is None else accepted.result,
             '' if accepted is None else accepted.frame_id, self.config.probe.tip,
-            list(self.air.rows), self.config.probe.tip_radius)
+            list(self.air.rows), self.config.probe.tip_radius, self.config.probe.tip_error)
 
     def restore(self, saved: SessionRecord) -> None:
         """
         Replace the state by a saved one; `InputError`, and no change, if it does not fit.
 
-        If ``probe.tip`` is not set, that of the saved session is used from now on.
+        If ``probe.tip`` is not set, that of the saved session is used from now on, with its error.
         """
-        config = self.config if self.config.probe.tip else self.config.replaced(
-            {'probe.tip': saved.tip})
+        config = self.config if self.config.probe.tip or not saved.tip else self.config.replaced(
+            {'probe.tip': saved.tip, 'probe.tip_error': saved.tip_error})
         self.collection.restore(saved.points, saved.frame_id, saved.rejected, self.config)
         self.tip, self.landmarks = StationaryTipDetector(), LandmarkCapture()
         for landmark in saved.landmarks:    # a journal has them in the order captured

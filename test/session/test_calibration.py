@@ -223,3 +223,18 @@ def test_a_joint_centre_is_a_measurement_of_the_pose() -> None:
     other = Session(session.config, bone_field())
     other.restore(session.to_dict())
     assert other.register().T_tracker_bone.tobytes() == result.T_tracker_bone.tobytes()
+
+
+@pytest.mark.parametrize('own, error', [([], 5e-4), ([0.0, 0.0, 0.2], 1e-4)])
+def test_a_restored_session_brings_its_tip_with_the_error_unless_one_is_set(
+        own: list[float], error: float) -> None:
+    from smooth_bone import bone_field
+    saved = Session(Config().replaced({'probe.tip': [0.0, 0.0, 0.1]}), bone_field())
+    followed: dict[str, Any] = {}
+    saved.listen(followed.__setitem__)
+    saved.configure(saved.config.replaced({'probe.tip_error': 5e-4}))
+    assert followed['tip_error'] == 5e-4
+    session = Session(Config().replaced({'probe.tip': own, 'probe.tip_error': 1e-4}), bone_field())
+    session.restore(saved.to_dict())
+    assert session.config.probe.tip == (own or [0.0, 0.0, 0.1])
+    assert session.config.probe.tip_error == error
