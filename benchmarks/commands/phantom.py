@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
             print(f'{name}: {result.reason}: {result.message}')
             continue
         found = target_errors(result, phantom.targets)
-        lines.append((name, *(f'{1e3 * found[k]:.2f}' for k in (0, 1, 2, 4, 3)),
+        lines.append((name, *(f'{1e3 * length:.2f}' for length in found[:-1]),
                       f'{found.chi_square:.1f}'))
     print(f'{len(phantom.drag)} samples, {phantom.targets.shape[1]} targets; mm. The difference is '
           'that to the pose that fits the targets\nbest, RMS at the targets; beside it what is '

@@ -15,7 +15,7 @@ import numpy as np
 from gsdf_registration.common import rigid
 from gsdf_registration.common.result import RegistrationResult
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.registration.confidence import motion_at, predicted_tre
+from gsdf_registration.registration.confidence import Confidence, motion_at, predicted_tre
 
 
 class TargetErrors(NamedTuple):
@@ -24,15 +24,15 @@ class TargetErrors(NamedTuple):
 
     mean, rms : distances of the touched targets from their places on the model
     difference : RMS distance of the pose from the one that fits the targets best, at the targets
-    of_targets, stated : RMS errors that are expected of this difference, of the two poses
+    stated, of_targets : RMS errors that are expected of this difference, of the two poses
     chi_square : of the difference; 6 degrees of freedom
     """
 
     mean: float
     rms: float
     difference: float
-    of_targets: float
     stated: float
+    of_targets: float
     chi_square: float
 
 
@@ -50,23 +50,17 @@ def target_errors(result: RegistrationResult, targets: Array) -> TargetErrors:
     T, covariance = result.T_tracker_bone, result.covariance
     assert T is not None and covariance is not None
     model, touched = targets
-    distance = rigid.transform(rigid.inverse(T), touched) - model
-    best = rigid.fit_points(model, touched)
+    distance = np.linalg.norm(rigid.transform(rigid.inverse(T), touched) - model, axis=1)
+    best = rigid.fit_points(touched, model)
+    residual = rigid.transform(best, model) - touched
+    noise = (residual**2).sum() / (residual.size - 6)
     centre = model.mean(axis=0)
     B = motion_at(model - centre)
-    residual = rigid.transform(best, touched) - model
-    noise = (residual**2).sum() / (residual.size - 6)
-    C_targets = noise * np.linalg.inv(np.einsum('kij,kil->jl', B, B))
-    # from a small motion of the bone frame about the centre to the pose, see `pose_covariance`
-    R, G = T[:3, :3], np.zeros((6, 6))
-    G[:3, :3], G[:3, 3:], G[3:, :3] = -R @ rigid.skew(centre), -R, -R
-    C_pose = np.linalg.solve(G, np.linalg.solve(G, covariance).T)
-    motion = rigid.inverse(T) @ rigid.inverse(best)
-    e = np.concatenate([rigid.rotation_log(motion[:3, :3]),
-                        rigid.transform(motion, centre) - centre])
+    fit = Confidence(noise * np.linalg.inv(np.einsum('kij,kil->jl', B, B)), centre,
+                     float(np.sqrt(noise)), 1.0)
+    e = np.concatenate([T[:3, 3] - best[:3, 3],
+                        rigid.rotation_log(T[:3, :3] @ best[:3, :3].T)])    # as the covariance
     return TargetErrors(
-        float(np.linalg.norm(distance, axis=1).mean()), rigid.rms(np.linalg.norm(distance, axis=1)),
-        rigid.rms(np.linalg.norm(B @ e, axis=1)),
-        float(np.sqrt(np.einsum('kij,jl,kil->k', B, C_targets, B).mean())),
-        rigid.rms(predicted_tre(T, covariance, model)),
-        float(e @ np.linalg.solve(C_pose + C_targets, e)))
+        float(distance.mean()), rigid.rms(distance), rigid.rms_displacement(T, best, model),
+        rigid.rms(predicted_tre(T, covariance, model)), rigid.rms(fit.predicted_tre(model)),
+        float(e @ np.linalg.solve(covariance + fit.pose_covariance(T), e)))

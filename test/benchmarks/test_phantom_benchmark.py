@@ -38,8 +38,8 @@ def folder(tmp_path: Path) -> Path:
     """Return a folder with files as published, of a bone-like body."""
     mesh = ball_mesh(np.array([0.012, 0.02, 0.03]))
     savemat(tmp_path / MODEL, {'ver': 1e3 * mesh.vertices, 'tri': mesh.faces + 1})
-    order = np.argsort(rigid.transform(np.eye(4), touched_points(500, 0, mesh=mesh))[:, 0])
-    write_csv(tmp_path / DRAG, touched(touched_points(500, 0, mesh=mesh)[order], 1))
+    drag = touched_points(500, 0, mesh=mesh)
+    write_csv(tmp_path / DRAG, touched(drag[np.argsort(drag[:, 0])], 1))
     write_csv(tmp_path / TOUCHED, touched(TARGETS, 2, 1e-3))
     text = [';\n  '.join(', '.join(f'{1e3 * value:.4f}' for value in row) for row in rows)
             for rows in (TARGETS[:3], TARGETS[3:])]
