@@ -10,12 +10,17 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.execution.result_table import Row
-from benchmarks.protocol.scoring import attainable, cramer_rao, share_of_limits, well_posed
+from benchmarks.protocol.scoring import (
+    attainable,
+    cramer_rao,
+    evidence,
+    share_of_limits,
+    well_posed,
+)
 from benchmarks.protocol.trials import Problem, Trial, make
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.rigid import Array
-from gsdf_registration.registration import confidence as stating
 from gsdf_registration.registration.confidence import Confidence, assess_at
 from gsdf_registration.registration.local_solutions import solve_all
 from gsdf_registration.registration.point_selection import select_points
@@ -26,13 +31,8 @@ PLACES = 400            # of the surface at which errors are compared
 LOST = 0.005            # m, RMS over the exposed area: the pose is in another minimum
 
 
-def run_trial(trial: Trial, config: Config, model_factor: float = stating.MODEL_FACTOR) -> Row:
-    """
-    Return the row of a trial; SI units.
-
-    ``model_factor`` replaces `stating.MODEL_FACTOR`.
-    """
-    stating.MODEL_FACTOR = model_factor
+def run_trial(trial: Trial, config: Config) -> Row:
+    """Return the row of a trial; SI units."""
     problem, config = make(trial), config.replaced(trial.scenario.settings)
     selection = select_points(problem.recording.positions, config.collect.mode)
     points, field = selection.positions, problem.field
@@ -43,6 +43,7 @@ def run_trial(trial: Trial, config: Config, model_factor: float = stating.MODEL_
     return {'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,
             **compared(confidence, motion, problem),
             'model_sd_m': None if confidence is None else confidence.model_sd,
+            'evidence': evidence(problem),
             'well_posed': well_posed(problem, attainable(problem), config),
             'share_of_limits': (None if confidence is None
                                 else share_of_limits(problem, confidence, config))}

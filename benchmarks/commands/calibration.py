@@ -18,7 +18,7 @@ from benchmarks.options import (
     run_table,
     single_threaded,
 )
-from gsdf_registration.common.command_line import example, number, positive_number
+from gsdf_registration.common.command_line import example, positive_number
 from gsdf_registration.common.result import InputError
 
 if TYPE_CHECKING:
@@ -48,10 +48,6 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--peers', action='store_true',
                         help='test the accuracy that other libraries state instead; they are '
                         'installed in an environment of their own')
-    parser.add_argument('--model-factor', type=number, metavar='F',
-                        help='factor of the part of the stated covariance that is due to the error '
-                        'of the model, to see what another one costs (default: that of the '
-                        'package)')
     add_seed_option(parser, 'seed of the first trials')
     add_table_options(parser, 'trial')
     parser.set_defaults(run=run)
@@ -59,12 +55,19 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the trials and print the table."""
-    from benchmarks.calibration.tables import COLUMNS, WIDTHS, peer_table, table
+    from benchmarks.calibration.tables import (
+        COLUMNS,
+        COST_COLUMNS,
+        COST_WIDTHS,
+        WIDTHS,
+        cost_table,
+        peer_table,
+        table,
+    )
     from benchmarks.calibration.trial import run_trial
     from benchmarks.commands.trust import scenarios
     from benchmarks.protocol.cases import find_cases
     from benchmarks.protocol.trials import SCENARIOS, trials
-    from gsdf_registration.registration.confidence import MODEL_FACTOR
 
     cases = find_cases(bones(args.bones))
     config = single_threaded(args)
@@ -75,15 +78,22 @@ def run(args: argparse.Namespace) -> int:
                 for trial in islice(trials(cases, [scenario], args.seed), args.trials)]
     if not selected:
         raise InputError('none of these scenarios has a true pose; choose others')
-    factor = args.model_factor or MODEL_FACTOR
     jobs, work = peer_jobs(selected) if args.peers else (
         {trial.name: trial for trial in selected},
-        partial(run_trial, config=config, model_factor=factor))
-    rows = run_table(args, cases, config, jobs, work, model_factor=factor)
+        partial(run_trial, config=config))
+    rows = run_table(args, cases, config, jobs, work)
     print('lost: in another minimum; near: the exposed area, far: the whole bone, RMS, mm; within '
           '95 %: places whose\nerror is within its stated bound; bound: Cramer-Rao, of an exact '
-          'model; refused: well-posed\nproblems whose stated error is beyond the limit\n')
-    print_table([COLUMNS, *(peer_table(rows) if args.peers else table(rows))], WIDTHS)
+          'model; refused: well-posed\nproblems whose stated error is beyond the limit; looks '
+          'exact: an exact model is likelier than the\ntrue deviation, even if all of it but its '
+          'course is known\n')
+    if args.peers:
+        print_table([COLUMNS, *peer_table(rows)], WIDTHS)
+        return 0
+    print_table([COLUMNS, *table(rows)], WIDTHS)
+    print('\nwhat another stated covariance would cost, where an error of the model was found and '
+          'where not\n')
+    print_table([COST_COLUMNS, *cost_table(rows)], COST_WIDTHS)
     return 0
 
 

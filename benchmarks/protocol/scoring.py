@@ -127,14 +127,48 @@ def attainable(problem: Problem) -> Confidence:
         If the points do not constrain the pose.
 
     """
-    word, x = problem.trial.scenario.real_model, problem.touched
     J, variance, confidence = _linearized(problem)
-    sd = rigid.rms(problem.field.sample(x)[0]) if word else 0.0
-    sd, length = SMOOTH.get(word, (sd, LENGTH))
-    V = np.diag(variance) + sd**2 * np.exp(-0.5 * (cdist(x, x) / length)**2)
+    V = np.diag(variance) + _deviation(problem)
     C = np.asarray(np.linalg.inv(J.T @ np.linalg.solve(V, J)), np.float64)
     return replace(confidence, motion_covariance=C,
                    tip_error=problem.trial.scenario.settings['probe.tip_error'])
+
+
+def evidence(problem: Problem) -> float | None:
+    """
+    Return the log-likelihood ratio of a smooth deviation of the model over an exact model.
+
+    Only the pose and the course of the deviation are unknown; the points on the bone, the noise,
+    and standard deviation and length of the deviation are given. No test is more powerful than this
+    ratio (Neyman and Pearson 1933): where it is negative, no method can see the deviation.
+    Restricted likelihoods, as nothing is known of the pose. None: there is no such deviation.
+    """
+    if problem.trial.scenario.real_model not in SMOOTH:
+        return None
+    J, variance, _ = _linearized(problem)
+    recording = problem.recording
+    measured = rigid.transform(rigid.inverse(recording.T_tracker_bone),
+                               recording.positions[recording.on_bone])
+    e, noise = problem.field.sample(measured)[0], np.diag(variance)
+    return _log_likelihood(e, J, noise + _deviation(problem)) - _log_likelihood(e, J, noise)
+
+
+def _log_likelihood(e: Array, J: Array, V: Array) -> float:
+    """Return the restricted log-likelihood of residuals of covariance ``V``, less a constant."""
+    scale = np.sqrt((J**2).sum(axis=0))     # the same for every V
+    L = np.linalg.cholesky(V)
+    A, b = np.linalg.solve(L, J / scale), np.linalg.solve(L, e)
+    rest = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
+    return float(-np.log(np.diag(L)).sum() - 0.5 * np.linalg.slogdet(A.T @ A)[1]
+                 - 0.5 * rest @ rest)
+
+
+def _deviation(problem: Problem) -> Array:
+    """Return the covariance (n, n) of the deviation of the model at the points on the bone, m^2."""
+    word, x = problem.trial.scenario.real_model, problem.touched
+    sd = rigid.rms(problem.field.sample(x)[0]) if word else 0.0
+    sd, length = SMOOTH.get(word, (sd, LENGTH))
+    return np.asarray(sd**2 * np.exp(-0.5 * (cdist(x, x) / length)**2))
 
 
 def _linearized(problem: Problem) -> tuple[Array, Array, Confidence]:

@@ -13,6 +13,7 @@ from benchmarks.protocol.cases import Case
 from benchmarks.protocol.scoring import (
     attainable,
     cramer_rao,
+    evidence,
     pose_errors,
     share_of_limits,
     verdict,
@@ -145,6 +146,20 @@ def test_the_deviation_of_a_model_is_in_the_attainable_error(clean: Problem,
     inexact = problem(femur_bone, 'smooth_0.5_15')
     surface = inexact.field.surface_points.astype(np.float64)
     assert (attainable(inexact).p95(surface) > 1.5 * cramer_rao(inexact).p95(surface)).all()
+
+
+def test_evidence_of_a_deviation(clean: Problem, femur_bone: Path) -> None:
+    assert evidence(clean) is None
+    inexact = problem(femur_bone, 'smooth_0.5_8_optical')
+    assert evidence(inexact) > 50.0
+    # the same noise on an exact model
+    bare = clean.recording
+    exact = replace(problem(femur_bone, 'smooth_0.5_8'), recording=bare)
+    assert evidence(exact) < -10.0
+    # a motion of the bone is no evidence
+    moved = replace(bare, T_tracker_bone=bare.T_tracker_bone @ rigid.from_rt(
+        rigid.rotation_exp([0.0, 0.001, 0.0]), [1e-4, 2e-4, 0.0]))
+    assert evidence(replace(exact, recording=moved)) == pytest.approx(evidence(exact), abs=1.0)
 
 
 def test_well_posed(clean: Problem, femur_bone: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.calibration.tables import COLUMNS, table
+from benchmarks.calibration.tables import COLUMNS, COST_COLUMNS, cost_table, table
 from benchmarks.calibration.trial import compared
 from benchmarks.protocol.cases import Case
 from benchmarks.protocol.real_models import OFFSETS, REAL_MODELS
@@ -52,6 +52,20 @@ def test_lost_poses_are_counted_and_left_out(femur_bone: Path) -> None:
     assert list(table(rows))[0][:3] == ('clean', '2', '2')
 
 
+def test_cost_of_another_stated_covariance() -> None:
+    rows = [{'scenario': scenario, 'near_m': 0.001, 'model_sd_m': found, 'chi_square': squared,
+             'share_of_limits': share, 'well_posed': True} for scenario, found, squared, share in (
+                 ('clean', 0.0, 5.0, 0.4), ('clean', 0.0, 5.0, 0.6),
+                 ('cartilage', 0.0, 50.0, 0.9), ('cartilage', 3e-4, 20.0, 0.9))]
+    lines = {cells[:2]: cells[2:] for cells in cost_table(rows)}
+    assert all(len(cells) == len(COST_COLUMNS) - 2 for cells in lines.values())
+    assert lines['not found', 'x 1'] == ('100.00%', '0 of 2', '0.00%', '100.00%', '0 of 1')
+    assert lines['not found', 'x 2'] == ('100.00%', '0 of 2', '0.00%', '0.00%', '1 of 1')
+    assert lines['not found', 'x 4'] == ('100.00%', '1 of 2', '100.00%', '0.00%', '1 of 1')
+    assert lines['found', 'x 2'] == ('-', '-', '100.00%', '0.00%', '1 of 1')
+    assert lines['all', 'x 1'] == ('100.00%', '0 of 2', '0.00%', '50.00%', '0 of 2')
+
+
 @pytest.mark.parametrize('word', [word for word in REAL_MODELS if word not in (
     'ct', 'ct_thick_slices', 'mri', 'decimated')])
 def test_the_touched_surface_deviates_from_the_model(femur_bone: Path, word: str) -> None:
@@ -66,4 +80,4 @@ def test_the_command_prints_the_table(femur_bone: Path, capsys: pytest.CaptureFi
     assert main(['calibration', '--bones', str(femur_bone.parent), '--trials', '2',
                  '--scenarios', 'sigma_0.15']) == 0
     text = capsys.readouterr().out
-    assert 'sigma_0.15' in text and 'efficiency' in text
+    assert 'sigma_0.15' in text and 'efficiency' in text and 'not found' in text
