@@ -25,7 +25,6 @@ from gsdf_registration.solver import PARAMETERS, Solution, before, nearest_neigh
 # The residuals show the part of the error of the model that no motion explains. The other part is
 # larger: an error that varies slowly looks like a motion. From `benchmarks calibration`.
 MODEL_FACTOR = 1.6
-MIN_SHARE = 0.1     # of the information that doubtful points may leave
 # 95 % quantile of chi-square for 1 to 3 degrees of freedom
 FREEDOM = np.linspace(1.0, 3.0, 65)
 CHI_SQUARE_95 = 2.0 * gammaincinv(0.5 * FREEDOM, 0.95)
@@ -313,16 +312,11 @@ def _covariance(solution: Solution, jacobian: Array, variance: float,
     if w.sum() < 6.0:
         return None
     J = precision * solution.jacobian[used]
-    certain = (J.T * w) @ J - information_loss
+    H = (J.T * w) @ J - information_loss
     J = precision * jacobian[used]
-    curvature = solution.curvature[used]
-    H = certain - (J.T * (w - curvature)) @ J
-    if not _has_full_rank(certain):
-        return None
-    # where only a few doubtful points constrain the pose, their negative curvature may outweigh the
-    # information; then it is ignored
-    if _smallest_share(H, certain) < MIN_SHARE:
-        H = certain - (J.T * (w - np.clip(curvature, 0.0, None))) @ J
+    # A point that may be on the bone or not adds no information. Its negative psi' would subtract
+    # some, and as H enters twice, the stated error would be too large (`benchmarks calibration`).
+    H = H - (J.T * (w - np.clip(solution.curvature[used], 0.0, None))) @ J
     if not _has_full_rank(H):
         return None
     scale = np.sqrt(np.diag(H))
@@ -349,13 +343,6 @@ def _has_full_rank(H: Array) -> bool:
     scale = np.sqrt(np.diag(H))
     eigenvalues = np.linalg.eigvalsh(H / np.outer(scale, scale))
     return bool(eigenvalues[0] >= 1e-10 * eigenvalues[-1])
-
-
-def _smallest_share(H: Array, certain: Array) -> float:
-    """Return the smallest information in ``H`` about a motion over that in ``certain``, (6, 6)."""
-    scale = np.sqrt(np.diag(certain))
-    L_inverse = np.linalg.inv(np.linalg.cholesky(certain / np.outer(scale, scale))) / scale
-    return float(np.linalg.eigvalsh(L_inverse @ H @ L_inverse.T)[0])
 
 
 def _residual_correlation(w: Array, residuals: Array, neighbours: NDArray[np.int64]) -> float:

@@ -169,8 +169,8 @@ def test_doubtful_points_reduce_the_information_at_most_to_zero() -> None:
         assert found is not None
         return float(np.trace(found.motion_covariance))
     without = claimed(0.0)
-    assert claimed(1.0) < without < claimed(-0.5)
-    assert claimed(-100.0) == without
+    assert claimed(1.0) < claimed(0.5) < without
+    assert claimed(-0.5) == claimed(-100.0) == without
 
 
 def test_points_on_a_plane_do_not_constrain_the_pose() -> None:
