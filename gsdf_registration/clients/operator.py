@@ -8,7 +8,6 @@ It calls the services of the node and receives its messages.
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -23,12 +22,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
+from gsdf_registration.clients.service_client import ServiceClient
 from gsdf_registration.common.result import InputError
 
 # of the poses, status, points and markers of the node: late joiners receive the last message
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
-RETRY_PERIOD = 2.0              # s without a response, after which a harmless request is repeated
 NUMBERS = itertools.count(1)    # two nodes of one name in a process would share their logger
 
 
@@ -57,7 +56,7 @@ class Operator:
         self.node = Node(f'operator_{next(NUMBERS)}', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._clients: dict[str, Any] = {}
+        self._clients: dict[str, ServiceClient] = {}
 
     def __enter__(self) -> Operator:
         """Return the operator itself."""
@@ -79,31 +78,17 @@ class Operator:
         return self._answer(self.start(SetBool, 'collect', SetBool.Request(data=on)))
 
     def state(self) -> str:
-        """
-        Return the lifecycle state of the node.
-
-        The request is repeated: the response is lost if the node has not discovered us yet.
-        """
-        future, asked = None, -math.inf
-
-        def answered() -> bool:
-            nonlocal future, asked
-            if time.monotonic() - asked > RETRY_PERIOD:
-                future = self.start(GetState, 'get_state', GetState.Request())
-                asked = time.monotonic()
-            return bool(future and future.done())
-        self.spin_until(answered, 'the node did not report its state')
-        assert future is not None
-        return str(future.result().current_state.label)
+        """Return the lifecycle state of the node."""
+        response = self.result(self.start(GetState, 'get_state', GetState.Request()))
+        return str(response.current_state.label)
 
     def start(self, kind: Any, service: str, request: Any) -> Any:
         """Send a request to ``~/service``; `result` waits for its response."""
-        client = self._clients.get(service)
-        if client is None:
-            client = self._clients[service] = self.node.create_client(kind,
-                                                                      f'{self._target}/{service}')
-        self.spin_until(client.service_is_ready, f'the service {service} is not available')
-        return client.call_async(request)
+        if service not in self._clients:
+            self._clients[service] = ServiceClient(self.node, kind, self._target, service)
+        client = self._clients[service]
+        self.spin_until(client.is_ready, f'the service {service} is not available')
+        return client.send(request)
 
     def result(self, future: Any) -> Any:
         """Return the response of a request sent by `start`."""

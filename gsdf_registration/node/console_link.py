@@ -19,6 +19,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
+from gsdf_registration.clients.service_client import ServiceClient
 from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array, inverse, transform
 from gsdf_registration.node.qos import LATCHED
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
     from gsdf_registration.visualization.console_page import ConsolePage
 
 PATIENCE = 60.0     # s, for the answer of a service: a search may take that long
-DISCOVERY = 2.0     # s, for a service to appear
+DISCOVERY = 5.0     # s, for a service to appear and to discover the console
+POLL = 0.02         # s, between two looks whether it has
 PERIOD = 0.5        # s, between two looks at the connection and the tracker
 # settings of the node that are shown beside values
 SETTINGS = ('limits.max_sigma', 'limits.max_error', 'limits.verification', 'landmarks.names',
@@ -54,7 +56,7 @@ class ConsoleLink:
     def __init__(self, target: str) -> None:
         self._target = target.rstrip('/')
         self.node = Node('registration_console')
-        self._clients: dict[str, Any] = {}
+        self._clients: dict[str, ServiceClient] = {}
         self._values: dict[str, str] | None = None
         # pose of the points in the bone frame: as registered, and as estimated until then
         self._registered: Array | None = None
@@ -124,9 +126,9 @@ class ConsoleLink:
 
     def _ask_settings(self) -> None:
         client = self._client(GetParameters, 'get_parameters')
-        if client.service_is_ready():
+        if client.is_ready():
             self._asked_settings = True
-            client.call_async(GetParameters.Request(names=list(SETTINGS))).add_done_callback(
+            client.send(GetParameters.Request(names=list(SETTINGS))).add_done_callback(
                 self._on_settings)
 
     def _on_settings(self, future: Any) -> None:
@@ -158,18 +160,20 @@ class ConsoleLink:
         threading.Thread(target=lambda: self._page.show_answer(*self.run(action)),
                          daemon=True).start()
 
-    def _client(self, kind: Any, service: str) -> Any:
+    def _client(self, kind: Any, service: str) -> ServiceClient:
         if service not in self._clients:
-            self._clients[service] = self.node.create_client(kind, f'{self._target}/{service}')
+            self._clients[service] = ServiceClient(self.node, kind, self._target, service)
         return self._clients[service]
 
     def _call(self, kind: Any, service: str, request: Any) -> tuple[bool, str]:
         """Call a service of the node and wait for its answer."""
-        client = self._client(kind, service)
-        if not client.wait_for_service(DISCOVERY):
-            return False, f'the service {self._target}/{service} is not available'
+        client, end = self._client(kind, service), time.monotonic() + DISCOVERY
+        while not client.is_ready():
+            if time.monotonic() > end:
+                return False, f'the service {self._target}/{service} is not available'
+            time.sleep(POLL)
         answered = threading.Event()
-        future = client.call_async(request)
+        future = client.send(request)
         future.add_done_callback(lambda _: answered.set())
         if not answered.wait(PATIENCE):
             return False, f'{self._target}/{service} did not answer within {PATIENCE:.0f} s'
