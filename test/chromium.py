@@ -19,6 +19,11 @@ CHROMIUM = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser',
 MISSING = 'chromium is not installed: apt-get install chromium'
 SOFTWARE_GL = ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
                '--enable-unsafe-swiftshader']
+# five frames a second: drawn in software, sixty would take all cores from the tests beside these
+FEW_FRAMES = """
+window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 200);
+window.cancelAnimationFrame = clearTimeout;
+"""
 PATIENCE = 90_000       # ms: the browser draws without a graphics card
 
 
@@ -42,6 +47,7 @@ class Watched:
         self.page.on('console', self._on_console)
         self.page.on('pageerror', lambda error: self.errors.append(str(error)))
         self.page.on('request', self._on_request)
+        self.page.add_init_script(FEW_FRAMES)
         self.page.goto(url)
 
     def _on_console(self, message: Any) -> None:
