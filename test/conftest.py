@@ -44,7 +44,9 @@ NEEDS = {
 # They take longest, so they start first: else one of them runs on at the end, while other
 # workers have nothing left to do.
 LONGEST = ('ros/test_console_in_browser.py', 'test_colcon_messages.py', 'ros/test_pose_lifetime.py',
-           'ros/test_signals.py', 'tracking/test_pivot.py', 'ros/test_parameters.py')
+           'ros/test_signals.py', 'ros/test_parameters.py', 'test_colcon.py',
+           'visualization/test_console_page.py', 'ros/test_recorded_operation.py',
+           'tracking/test_pivot.py', 'test_lint.py', 'benchmarks/test_trust.py')
 
 
 class SkippedModule(pytest.File):
