@@ -19,9 +19,11 @@ demo: $(VENV)/.installed-ros,messages,report $(VENV)/.shared
 	$(BIN)/gsdf warm-up
 	$(BIN)/gsdf demo
 
+# The workers of pytest use all cores; threads of BLAS would only wait for each other.
+# The kernels compile on one core, so the messages are built meanwhile.
+test: export OPENBLAS_NUM_THREADS := 1
 test: $(VENV)/.installed-ros,messages,test $(VENV)/.shared
-	$(BIN)/python tools/build_messages.py
-	$(BIN)/gsdf warm-up
+	$(BIN)/gsdf warm-up & $(BIN)/python tools/build_messages.py && wait $$!
 	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-ros,messages,test
@@ -43,8 +45,9 @@ $(BIN)/python:
 	echo 'no Python 3.10 to 3.13 with venv found: install one, or python3-venv beside it' >&2; exit 1
 
 # Editable installation: changes of the sources need no new installation.
+# Python compiles the modules that it imports; pip would compile all of them.
 $(VENV)/.installed-%: setup.py pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[$*]'
+	$(BIN)/python -m pip install --quiet --no-compile --no-build-isolation --editable '.[$*]'
 	touch $@
 
 # An editable installation does not include share/ with models, launch files and settings.
