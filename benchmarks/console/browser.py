@@ -23,9 +23,23 @@ BRIGHT = 120            # of 255: only the bone is as bright, in the middle of t
 SHARE = 0.02            # of the middle of the view that the bone covers at least
 MIDDLE = {'x': 250, 'y': 200, 'width': 400, 'height': 400}      # px, left of the panel
 PATIENCE = 120.0        # s
-# counts the batches of messages that the page receives from its worker, and the pictures it draws
+# Counts the batches of messages that the page receives from its worker, and the pictures it draws,
+# and notes when the bone, by far the largest mesh, has been drawn: a screenshot takes longer.
 COUNTERS = """
-window.counted = {batches: 0, pictures: 0};
+window.counted = {batches: 0, pictures: 0, bone: 0};
+const draw = WebGL2RenderingContext.prototype.drawElements;
+WebGL2RenderingContext.prototype.drawElements = function(mode, count, ...given) {
+    draw.call(this, mode, count, ...given);
+    if (count < 10000 || this.drawn) return;
+    this.drawn = this.fenceSync(this.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    const look = () => {
+        if (this.getSyncParameter(this.drawn, this.SYNC_STATUS) === this.SIGNALED)
+            window.counted.bone = performance.timeOrigin + performance.now();
+        else
+            setTimeout(look, 5);
+    };
+    setTimeout(look);
+};
 const Original = window.Worker;
 window.Worker = class extends Original {
     constructor(...given) {
@@ -51,19 +65,27 @@ class Console:
 
     def __init__(self, page: Any) -> None:
         self._page = page
-        # s, from the start to open it until it has a canvas, and until the bone is visible
-        self.framed = self.opened = 0.0
 
-    def open(self, url: str) -> None:
-        """Open the page and wait until the bone is visible."""
-        start = time.monotonic()
+    def open(self, url: str) -> float:
+        """
+        Open the page and wait until the bone is visible; return the time that took, s.
+
+        Raises
+        ------
+        InputError
+            If the page shows no bone.
+
+        """
+        from playwright.sync_api import TimeoutError as Timeout
+        start = time.time()
         self._page.goto(url, wait_until='commit')
-        self._page.wait_for_selector('canvas', timeout=1e3 * PATIENCE)
-        self.framed = time.monotonic() - start
-        while not self._bone_is_visible():
-            if time.monotonic() - start > PATIENCE:
-                raise InputError('the page shows no bone')
-        self.opened = time.monotonic() - start
+        try:
+            drawn = self._page.wait_for_function('window.counted.bone', timeout=1e3 * PATIENCE)
+        except Timeout:
+            raise InputError('the page draws no bone') from None
+        if not self._bone_is_visible():
+            raise InputError('the page shows no bone')
+        return 1e-3 * float(drawn.json_value()) - start
 
     def _bone_is_visible(self) -> bool:
         from PIL import Image
