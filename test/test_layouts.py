@@ -99,6 +99,33 @@ def test_foxglove_has_a_button_for_every_service() -> None:
     assert [json.loads(payload) for payload in pressed] == [{'data': True}, {'data': False}]
 
 
+def test_foxglove_shows_the_buttons_without_scrolling() -> None:
+    """A panel of a service is a request, a response and, below both, the button."""
+    calls = {key for key, panel in FOXGLOVE['configById'].items() if 'serviceName' in panel}
+    assert all(FOXGLOVE['configById'][call]['layout'] == 'horizontal' for call in calls)
+    bottom = FOXGLOVE['layout']
+    assert (bottom['direction'], bottom['second']) == ('column', 'Tab!services')
+    assert 22 <= 100 - bottom['splitPercentage'] <= 33      # 200 px of a window of 900
+    for tab in FOXGLOVE['configById']['Tab!services']['tabs']:
+        widths = shares(tab['layout'])      # in one row
+        assert len(widths) <= 6 and max(widths) - min(widths) < 2, tab['title']
+
+
+def shares(layout: Any) -> list[float]:
+    """Return the widths of the panels in a row, in percent."""
+    if isinstance(layout, str):
+        return [100]
+    assert layout['direction'] == 'row'
+    first = layout['splitPercentage']
+    return [*(width * first / 100 for width in shares(layout['first'])),
+            *(width * (100 - first) / 100 for width in shares(layout['second']))]
+
+
+def test_the_panels_have_the_same_titles_in_lichtblick() -> None:
+    for panel in FOXGLOVE['configById'].values():
+        assert panel.get('lichtblickPanelTitle') == panel.get('foxglovePanelTitle')
+
+
 def request_fields(kind: str) -> set[str]:
     """Return the fields of the request of a service of gsdf_registration_msgs."""
     package, name = kind.split('/')
@@ -115,7 +142,10 @@ def test_foxglove_shows_all_topics_and_looks_at_the_centre_of_the_bone() -> None
     # the 3D panel does not draw PointStamped
     assert scene['topics'].keys() == (LATCHED | VOLATILE) - {'/registration/tip'}
     assert scene['topics']['/registration/markers']['visible']
-    assert scene['topics']['/registration/live_pose']['visible']
+    # before a registration no transform leads to the frame of the live pose: the panel would report
+    # an error as long as points are collected
+    assert not scene['topics']['/registration/live_pose']['visible']
+    assert not scene['transforms'][f'frame:{CENTRE}']['visible']    # its axes are inside the bone
 
 
 def test_sizes_suit_a_bone() -> None:
