@@ -58,6 +58,18 @@ def test_rviz_subscribes_with_the_qos_of_each_topic() -> None:
         assert settings['Reliability Policy'] == reliability, topic
 
 
+def test_rviz_draws_no_covariance_before_there_is_a_pose() -> None:
+    """Until the first message, RViz draws it as a ball of 1 m that hides the bone."""
+    poses = [display for display in RVIZ['Displays'] if 'Covariance' in display]
+    assert [pose['Name'] for pose in poses] == ['Live pose', 'Registered pose']
+    assert not any(pose['Covariance']['Value'] for pose in poses)
+
+
+def test_rviz_hides_the_axes_inside_the_bone() -> None:
+    frames = next(each for each in RVIZ['Displays'] if each['Name'] == 'TF')['Frames']
+    assert frames == {'All Enabled': True, CENTRE: {'Value': False}}
+
+
 def test_rviz_enables_the_namespaces_of_the_markers() -> None:
     scene = next(display for display in RVIZ['Displays'] if display['Name'] == 'Scene')
     none = np.zeros((0, 3))
