@@ -24,6 +24,9 @@ from msg_adapters.marker_cdr import Marker
 
 MAX_FACES = 12_000      # of the bone: at 120 bytes each, a message stays below 2 MB
 MAX_POINTS = 20_000     # drawn as markers, evenly spread over all; at 40 bytes each
+# RViz draws triangles with colours of their own without light, so the light is in the colours: from
+# where both layouts look first, bone axes. The side away from it has the brightness SHADE.
+LIGHT, SHADE = np.array([0.81, 0.44, 0.39]), 0.55
 
 
 def centre_of(field: Field) -> Array:
@@ -42,14 +45,15 @@ class MarkerScene:
     """Makes the markers of complete scenes; it keeps the decimated surface of the last bone."""
 
     def __init__(self) -> None:
-        self._surface: tuple[str, Array, Faces] | None = None   # with the hash of its bone
+        # vertices, faces and brightness of the vertices, with the hash of the bone
+        self._surface: tuple[str, Array, Faces, Array] | None = None
 
     def bone(self, field: Field, next_touches: Sequence[NextTouch] = ()) -> list[Marker]:
         """Return the bone and where to touch next, without points: there is no pose for them."""
         empty = np.zeros((0, 3))
-        vertices, faces = self._drawn_surface(field)
+        vertices, faces, bright = self._drawn_surface(field)
         plain = np.tile(colours.rgb(colours.ERROR[0]), (len(vertices), 1))
-        return (markers.bone(vertices, faces, plain)
+        return (markers.bone(vertices, faces, bright * plain)
                 + markers.border(np.zeros((0, 2, 3)), plain) + markers.points(empty, empty)
                 + _patches(next_touches))
 
@@ -76,19 +80,33 @@ class MarkerScene:
 
         """
         shown = evenly_spread(np.arange(len(contacts)), MAX_POINTS)
-        vertices, faces = self._drawn_surface(field)
+        vertices, faces, bright = self._drawn_surface(field)
         error = error_bound(T_tracker_bone, covariance, vertices)
-        return (markers.bone(vertices, faces, colours.error_colours(error, limits))
+        return (markers.bone(vertices, faces, bright * colours.error_colours(error, limits))
                 + markers.border(border_segments(vertices, faces, error, limits.max_error),
                                  colours.rgb(colours.BORDER))
                 + markers.points(contacts[shown], colours.residual_colours(
                     residuals[shown], weights[shown], limits))
                 + _patches(next_touches))
 
-    def _drawn_surface(self, field: Field) -> tuple[Array, Faces]:
+    def _drawn_surface(self, field: Field) -> tuple[Array, Faces, Array]:
         if self._surface is None or self._surface[0] != field.bone_sha256:
-            self._surface = (field.bone_sha256, *drawn_surface(field, MAX_FACES))
+            vertices, faces = drawn_surface(field, MAX_FACES)
+            self._surface = field.bone_sha256, vertices, faces, _brightness(vertices, faces)
         return self._surface[1:]
+
+
+def _brightness(vertices: Array, faces: Faces) -> Array:
+    """Return the brightness (n, 1) of vertices by the angle of the surface to the light."""
+    if not len(faces):
+        return np.ones((len(vertices), 1))
+    corners = vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.stack([np.bincount(faces.ravel(), np.repeat(axis, 3), len(vertices))
+                        for axis in across.T], axis=1)      # weighted by area
+    length = np.linalg.norm(normals, axis=1)
+    towards = (normals @ LIGHT) / np.where(length > 0.0, length, 1.0)
+    return np.asarray(SHADE + (1.0 - SHADE) * 0.5 * (1.0 + towards))[:, None]
 
 
 def _patches(next_touches: Sequence[NextTouch]) -> list[Marker]:
