@@ -43,7 +43,7 @@ def run_trial(trial: Trial, config: Config) -> Row:
     return {'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,
             **compared(confidence, motion, problem),
             'model_sd_m': None if confidence is None else confidence.model_sd,
-            'evidence': evidence(problem),
+            **dict(zip(('evidence', 'evidence_exact'), evidence(problem) or (None, None))),
             'well_posed': well_posed(problem, attainable(problem), config),
             'share_of_limits': (None if confidence is None
                                 else share_of_limits(problem, confidence, config))}

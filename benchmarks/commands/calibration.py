@@ -84,9 +84,9 @@ def run(args: argparse.Namespace) -> int:
     rows = run_table(args, cases, config, jobs, work)
     print('lost: in another minimum; near: the exposed area, far: the whole bone, RMS, mm; within '
           '95 %: places whose\nerror is within its stated bound; bound: Cramer-Rao, of an exact '
-          'model; refused: well-posed\nproblems whose stated error is beyond the limit; looks '
-          'exact: an exact model is likelier than the\ntrue deviation, even if all of it but its '
-          'course is known\n')
+          'model; refused: well-posed\nproblems whose stated error is beyond the limit; not seen: '
+          'by the most powerful test for the deviation,\nwhich knows all of it but its course, '
+          'with 5 % of false alarms\n')
     if args.peers:
         print_table([COLUMNS, *peer_table(rows)], WIDTHS)
         return 0

@@ -134,29 +134,34 @@ def attainable(problem: Problem) -> Confidence:
                    tip_error=problem.trial.scenario.settings['probe.tip_error'])
 
 
-def evidence(problem: Problem) -> float | None:
+def evidence(problem: Problem) -> tuple[float, float] | None:
     """
     Return the log-likelihood ratio of a smooth deviation of the model over an exact model.
 
-    Only the pose and the course of the deviation are unknown; the points on the bone, the noise,
-    and standard deviation and length of the deviation are given. No test is more powerful than this
-    ratio (Neyman and Pearson 1933): where it is negative, no method can see the deviation.
-    Restricted likelihoods, as nothing is known of the pose. None: there is no such deviation.
+    First for the problem, then for an exact model with the same noise. Only the pose and the course
+    of the deviation are unknown; the points on the bone, the noise, and standard deviation and
+    length of the deviation are given. No test is more powerful than this ratio (Neyman and Pearson
+    1933): what it misses, no method sees. Restricted likelihoods, as nothing is known of the pose.
+    None: there is no such deviation.
     """
     if problem.trial.scenario.real_model not in SMOOTH:
         return None
     J, variance, _ = _linearized(problem)
-    recording = problem.recording
+    recording, noise = problem.recording, np.diag(variance)
     measured = rigid.transform(rigid.inverse(recording.T_tracker_bone),
                                recording.positions[recording.on_bone])
-    e, noise = problem.field.sample(measured)[0], np.diag(variance)
-    return _log_likelihood(e, J, noise + _deviation(problem)) - _log_likelihood(e, J, noise)
+    e, deviation = problem.field.sample(measured)[0], problem.field.sample(problem.touched)[0]
+    with_it, without = np.linalg.cholesky(noise + _deviation(problem)), np.linalg.cholesky(noise)
+
+    def ratio(residuals: Array) -> float:
+        return (_log_likelihood(residuals, J, np.asarray(with_it))
+                - _log_likelihood(residuals, J, np.asarray(without)))
+    return ratio(e), ratio(e - deviation)
 
 
-def _log_likelihood(e: Array, J: Array, V: Array) -> float:
-    """Return the restricted log-likelihood of residuals of covariance ``V``, less a constant."""
-    scale = np.sqrt((J**2).sum(axis=0))     # the same for every V
-    L = np.linalg.cholesky(V)
+def _log_likelihood(e: Array, J: Array, L: Array) -> float:
+    """Return the restricted log-likelihood of residuals of covariance L L^T, less a constant."""
+    scale = np.sqrt((J**2).sum(axis=0))     # the same for every L
     A, b = np.linalg.solve(L, J / scale), np.linalg.solve(L, e)
     rest = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
     return float(-np.log(np.diag(L)).sum() - 0.5 * np.linalg.slogdet(A.T @ A)[1]

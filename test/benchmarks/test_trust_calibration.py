@@ -66,6 +66,15 @@ def test_cost_of_another_stated_covariance() -> None:
     assert lines['all', 'x 1'] == ('100.00%', '0 of 2', '0.00%', '50.00%', '0 of 2')
 
 
+def test_deviations_that_the_best_test_misses(femur_bone: Path) -> None:
+    problem = make(trial(femur_bone, 'clean'))
+    row = {'case': 'a/condyles', 'scenario': 'smooth_0.3_30', 'seed': 0,
+           **compared(cramer_rao(problem), np.eye(4), problem)}
+    rows = [{**row, 'evidence': seen, 'evidence_exact': -1.0} for seen in (-2.0, 1.0, 2.0, 3.0)]
+    missed = dict(zip(COLUMNS, list(table(rows))[0]))['not seen']
+    assert missed == '25.0%'
+
+
 @pytest.mark.parametrize('word', [word for word in REAL_MODELS if word not in (
     'ct', 'ct_thick_slices', 'mri', 'decimated')])
 def test_the_touched_surface_deviates_from_the_model(femur_bone: Path, word: str) -> None:
