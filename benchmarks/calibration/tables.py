@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -48,8 +47,8 @@ def cost_table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
     """
     Yield a line for each multiple of the stated covariance, cells as text, lost poses left out.
 
-    Where no error of the model was found, exact and inexact models cannot be told apart, so they
-    share the factor. Held: share of the poses in the 95 % region; refused as in `table`.
+    Where no error of the model was found, exact and inexact models are not distinguished, so they
+    have the same factor. Held: share of the poses in the 95 % region; refused as in `table`.
     """
     stated = [row for row in rows if row['chi_square'] is not None and row['near_m'] < LOST]
     for label, group in (('not found', [row for row in stated if not row['model_sd_m']]),
@@ -93,9 +92,9 @@ def _cells(group: Sequence[Row]) -> tuple[str, ...]:
         return (str(len(group)), str(len(group)), *('-' for _ in COLUMNS[3:]))
     value = {key: np.array([row[key] for row in rows]) for key in rows[0]
              if not key.startswith('evidence') and isinstance(rows[0][key], float)}
+    known = [row for row in rows if row['chi_square'] is not None]
     cells = [str(len(group)), str(len(group) - len(rows)),
-             _share(value, 'chi_square', lambda squared: squared < CHI_SQUARE_95),
-             _share(value, 'chi_square', lambda squared: squared > CHI_SQUARE_FAR)]
+             _beyond(known, 1.0, CHI_SQUARE_95, held=True), _beyond(known, 1.0, CHI_SQUARE_FAR)]
     for place in ('near', 'far'):
         true, stated = rms(1e3 * value[f'{place}_m']), rms(1e3 * value[f'{place}_stated_m'])
         cells += [f'{true:.2f} / {stated:.2f}', _share(value, f'{place}_within')]
@@ -119,6 +118,6 @@ def _not_seen(rows: Sequence[Row]) -> str:
     return f'{np.mean(deviating < np.quantile(exact, 0.95)):.1%}'
 
 
-def _share(value: dict[str, Array], key: str, of: Callable[[Array], Any] = np.asarray) -> str:
+def _share(value: dict[str, Array], key: str) -> str:
     """Return the mean of a column as a percentage; - if it is not stated."""
-    return f'{np.mean(of(value[key])):.2%}' if key in value else '-'
+    return f'{value[key].mean():.2%}' if key in value else '-'
