@@ -10,11 +10,12 @@ everywhere is estimated with the pose, with a prior.
 
 Neither size nor length of the error is known. Each combination has a prior probability, which
 depends on what the user knows of the model, and a restricted likelihood (REML; Patterson and
-Thompson 1971), that of the part of the residuals that no motion and no offset explains. The mean
-covariance over all combinations is used: that of the error given the residuals. With noise alone,
-it is small; there is no threshold. It is used with two priors: for the pose most models are taken
-to be exact, as weights for an error that is not there cost accuracy; for what is stated fewer are,
-as that must be true also if an error does not show.
+Thompson 1971), that of the part of the residuals that no motion explains, averaged over the sizes
+of the offset: an offset of which nothing is known would hide most of an error that varies slowly.
+The mean covariance over all combinations is used: that of the error given the residuals. With noise
+alone, it is small; there is no threshold. It is used with two priors: for the pose most models are
+taken to be exact, as weights for an error that is not there cost accuracy; for what is stated fewer
+are, as that must be true also if an error does not show.
 """
 
 from __future__ import annotations
@@ -165,12 +166,13 @@ def error_variances(x: Array, e: Array, J: Array, weight: Array, precision: Arra
         return _mean(expected, np.tile(PRIOR * possible, (len(LENGTHS), 1)))
     scale = np.sqrt(np.maximum((cells.J**2).sum(axis=0), 1e-300))
     rows = np.concatenate([cells.J.T / scale[:, None], cells.root[None], cells.e[None]])
-    probability = np.zeros((len(LENGTHS), len(SIZES)))
-    _posterior(cells.distance, cells.root, rows, cells.within, cells.points,
-               squares / cells.noise**2, PRIOR, LENGTHS, probability)
-    if not np.isfinite(probability).all():
+    log_likelihood = np.empty((len(LENGTHS), len(SIZES), len(SIZES)))
+    _restricted_likelihood(cells.distance, cells.root, rows, cells.within, cells.points,
+                           squares / cells.noise**2, LENGTHS, log_likelihood)
+    if not np.isfinite(log_likelihood).all():
         raise np.linalg.LinAlgError
-    return _mean(expected, probability)
+    likelihood = np.exp(log_likelihood - log_likelihood.max()) @ STATED_PRIOR
+    return _mean(expected, PRIOR * likelihood)
 
 
 def _mean(expected: float, probability: Array) -> ErrorVariances:
@@ -285,16 +287,15 @@ def _group(x: Array, e: Array, J: Array, weight: Array, precision: Array, max_ce
 
 
 @kernel
-def _posterior(distance, root, rows, within, points, squares, prior, lengths, probability):
+def _restricted_likelihood(distance, root, rows, within, points, squares, lengths, log_likelihood):
     """
-    Fill ``probability`` (lengths, sizes) of the local error.
+    Fill ``log_likelihood`` (lengths, sizes of the local error, sizes of the offset).
 
     distance, root, within, points : as in `_Cells`
     rows : (8, m) the columns of J, of any scale, the offset and e
-    squares, prior : (k,) variance of the error of each size over that of the noise, and its prior
-        probability
+    squares : (k,) variance of each size of either error over that of the noise
     """
-    m, freedom = len(root), points - 7.0
+    m, freedom = len(root), points - 6.0
     diagonal, beside = np.empty(m), np.empty(m)
     G = np.empty((8, 8))
     for i in range(len(lengths)):
@@ -304,13 +305,11 @@ def _posterior(distance, root, rows, within, points, squares, prior, lengths, pr
         tridiagonalize(S, turned, diagonal, beside)
         for k in range(len(squares)):
             log_det = gram(diagonal, beside, squares[k], turned.copy(), G) + factor(G)
-            # the last pivot is the part of e that no motion and no offset explains
-            squared = within + G[7, 7] * G[7, 7]
-            log_det -= 2.0 * math.log(G[7, 7])
-            probability[i, k] = (math.log(prior[k])
-                                 - 0.5 * (log_det + freedom * math.log(squared / freedom)))
-    highest = probability.max()
-    for i in range(len(lengths)):
-        for k in range(len(squares)):
-            probability[i, k] = math.exp(probability[i, k] - highest)
-    probability /= probability.sum()
+            # the pivots of the offset and of e are not of J: the information of the offset once
+            # the pose is fitted, and the part of e that neither explains
+            log_det -= 2.0 * (math.log(G[6, 6]) + math.log(G[7, 7]))
+            for t in range(len(squares)):
+                variance = 1.0 + squares[t] * G[6, 6]**2    # of G[6, 7], the measured offset
+                squared = within + G[7, 7]**2 + G[6, 7]**2 / variance
+                log_likelihood[i, k, t] = -0.5 * (log_det + math.log(variance)
+                                                  + freedom * math.log(squared / freedom))

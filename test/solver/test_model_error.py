@@ -28,7 +28,7 @@ from gsdf_registration.solver.model_error import (
     Allowance,
     ErrorVariances,
     _group,
-    _posterior,
+    _restricted_likelihood,
     error_variances,
 )
 from gsdf_registration.solver.process_matrices import add_matern, factor, gram, tridiagonalize
@@ -210,29 +210,26 @@ def test_information_agrees_with_the_full_covariance() -> None:
     np.testing.assert_allclose(larger.score_covariance, 2.0 * error.score_covariance)
 
 
-def test_the_posterior_is_prior_times_density_of_the_residual_contrasts() -> None:
-    """Compare with the density of A^T e, A orthogonal to J and the offset (Patterson, Thompson)."""
+def test_the_likelihood_is_the_density_of_the_residual_contrasts() -> None:
+    """Compare with the density of A^T e, A orthogonal to J (Patterson, Thompson)."""
     rng = np.random.default_rng(0)
     J, e, root = rng.normal(size=(30, 6)), rng.normal(size=30), rng.uniform(1.0, 2.0, 30)
     x = rng.uniform(0.0, 0.03, (30, 3))
     distance = np.linalg.norm(x[:, None] - x, axis=2)
-    A = np.linalg.svd(np.column_stack([J, root]), full_matrices=True)[0][:, 7:]
+    A = np.linalg.svd(J, full_matrices=True)[0][:, 6:]
     squares = SIZES**2
-    expected = np.empty((len(LENGTHS), len(SIZES)))
-    for i, length in enumerate(LENGTHS):
-        for k, square in enumerate(squares):
-            V = np.eye(30)
-            add_matern(distance, root, length, square, V)
-            S, rest = A.T @ V @ A, A.T @ e
-            # plus 40 points about the means of their cells, with the same noise
-            variance = (rest @ np.linalg.solve(S, rest) + 50.0) / (23 + 40)
-            expected[i, k] = (np.log(PRIOR[k]) - 0.5 * np.linalg.slogdet(S)[1]
-                              - 31.5 * np.log(variance))
-    expected = np.exp(expected - expected.max())
+    expected = np.empty((len(LENGTHS), len(SIZES), len(SIZES)))
+    for i, k, t in np.ndindex(expected.shape):
+        V = np.eye(30) + squares[t] * np.outer(root, root)      # noise and offset
+        add_matern(distance, root, LENGTHS[i], squares[k], V)
+        S, rest = A.T @ V @ A, A.T @ e
+        # plus 40 points about the means of their cells, with the same noise
+        variance = (rest @ np.linalg.solve(S, rest) + 50.0) / (24 + 40)
+        expected[i, k, t] = -0.5 * np.linalg.slogdet(S)[1] - 32.0 * np.log(variance)
     found = np.empty_like(expected)
     rows = np.concatenate([J.T, root[None], e[None]])
-    _posterior(distance, root, rows, 50.0, 70.0, squares, PRIOR, LENGTHS, found)
-    np.testing.assert_allclose(found, expected / expected.sum(), rtol=1e-9)
+    _restricted_likelihood(distance, root, rows, 50.0, 70.0, squares, LENGTHS, found)
+    np.testing.assert_allclose(found - found[0, 0, 0], expected - expected[0, 0, 0], atol=1e-9)
 
 
 def test_the_tridiagonal_form_gives_the_same_products_as_the_full_matrix() -> None:
