@@ -120,10 +120,10 @@ def test_operator_repeats_a_request_whose_answer_is_lost(
                         callback_group=ReentrantCallbackGroup())
     status.publish(ros.diagnostic_status('fake', DiagnosticStatus.OK, 'register now',
                                          {'state': 'ready', 'pose': 'none'}))
-    operator = start_example('operator_client.py', '/fake', '--limit', '1.0')
+    operator = start_example('operator_client.py', '/fake', '--limit', '3.0')
     fake.spin_until(lambda: operator.process.poll() is not None, 'the client does not end')
     assert operator.exit_status() == 0 and len(calls) == 2
-    assert 'no answer within 1 s' in operator.output and 'registered' in operator.output
+    assert 'no answer within 3 s' in operator.output and 'registered' in operator.output
 
 
 @pytest.mark.skipif(not results.available(), reason='gsdf_registration_msgs is not built')
