@@ -47,8 +47,8 @@ MIN_CELLS = 12      # twice the degrees of freedom
 LENGTHS = np.array([0.004, 0.008, 0.016, 0.032, 0.064])     # m, equally probable
 # Standard deviations of the local error and of the offset, over the expected one
 SIZES = np.array([0.0, 0.1, 0.16, 0.26, 0.43, 0.7, 1.15, 1.9, 3.1, 5.0])
-# Prior probability that there is no such error, for the pose and for what is stated of it; from
-# `benchmarks calibration`
+# Prior probability that there is no such error, for the pose and for what is stated of it; that of
+# the offset is always the second. From `benchmarks calibration`
 EXACT, STATED_EXACT = 0.9, 0.5
 MIN_RANK = 1e-9     # smallest eigenvalue of a scaled information matrix that constrains all motions
 FOUND = 0.95        # probability of an error that is reported
