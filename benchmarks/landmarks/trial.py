@@ -29,8 +29,8 @@ ERROR_LENGTH = 0.015    # m, over which the error of the model is correlated
 GUESS = (0.04, 0.002)   # rad, m, standard deviation per axis of the initial guess
 # settings that accept every pose, and a short search: the question is how accurate the pose is
 ACCEPT_ALL = {'limits.max_error': 1.0, 'limits.min_gap': 0.0, 'limits.min_inliers': 0.0,
-              'limits.max_pattern': 1000.0, 'search.rotations': 10, 'search.places': 5,
-              'search.parts': 0, 'search.threads': 1}
+              'limits.max_pattern': 1000.0, 'limits.max_model_error': 1000.0,
+              'search.rotations': 10, 'search.places': 5, 'search.parts': 0, 'search.threads': 1}
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,9 @@ from gsdf_registration.registration.pipeline import register
 
 NEAR_TRUTH = 0.005  # m, maximum mean error over the exposed area of a pose that was found
 # settings that accept every pose
-LENIENT = {'limits.max_error': 1.0, 'limits.min_gap': 0.0,
-           'limits.min_inliers': 0.0, 'limits.max_pattern': 1000.0, 'limits.min_extent': 0.0}
+LENIENT = {'limits.max_error': 1.0, 'limits.min_gap': 0.0, 'limits.min_inliers': 0.0,
+           'limits.max_pattern': 1000.0, 'limits.max_model_error': 1000.0,
+           'limits.min_extent': 0.0}
 
 
 def run_trial(trial: Trial, config: Config) -> Row:

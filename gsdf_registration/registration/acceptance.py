@@ -22,8 +22,8 @@ from gsdf_registration.registration.surface_offset import FITTING_CORRELATION, f
 from gsdf_registration.registration.wording import describe_place
 from gsdf_registration.registration.zone import required_part
 
-# Share of the points: with so many inliers on the bone, correlated residuals come from an
-# inaccurate model or tracker, for which the covariance allows, and not from another bone
+# Share of the points: if fewer are on the bone, correlated residuals without a local error that
+# explains them may come from another bone, the rest of whose points is taken for interference
 CLEAR_INLIERS = 0.93
 # Log-likelihood of the places in the air below which they contradict a pose: eleven in the bone
 MIN_FREE = -24.0
@@ -54,7 +54,7 @@ def rejection_reasons(candidate: Candidate, points: Array, field: Field,
                       f'the points do not constrain the pose; {TOUCH_ELSEWHERE}', TOUCH_ELSEWHERE)
         return
     yield from _check_extent(on_bone, limits)
-    yield from _check_fit(candidate, limits)
+    yield from _check_fit(candidate, config)
     yield from _check_landmarks(candidate)
     yield from _check_free_space(candidate)
     touched = rigid.transform(candidate.solution.T_bone_tracker, on_bone)
@@ -120,14 +120,21 @@ def _check_extent(on_bone: Array, limits: LimitsConfig) -> Iterator[Refusal]:
                       'of the bone')
 
 
-def _check_fit(candidate: Candidate, limits: LimitsConfig) -> Iterator[Refusal]:
+def _check_fit(candidate: Candidate, config: Config) -> Iterator[Refusal]:
     confidence, inliers, used = candidate.confidence, candidate.inliers, candidate.used
     assert confidence is not None
+    limits, expected = config.limits, config.model.surface_error
     if confidence.sigma > limits.max_sigma:
         yield Refusal(Reason.MODEL_MISMATCH,
                       f'the points scatter by {format_length(confidence.sigma)} about the surface '
                       'of the bone, more than any tracker does; check that this is the bone')
-    if (confidence.residual_correlation > limits.max_pattern
+    if confidence.model_sd > limits.max_model_error * expected:
+        yield Refusal(Reason.MODEL_MISMATCH,
+                      f'the bone deviates from its model by {format_length(confidence.model_sd)} '
+                      f'(SD), model.surface_error is {format_length(expected)}; check that the '
+                      'model is of this patient, this side and in this unit, or set '
+                      'model.surface_error if it is so inaccurate')
+    elif (confidence.model_sd == 0.0 and confidence.residual_correlation > limits.max_pattern
             and inliers < CLEAR_INLIERS * used):
         yield Refusal(Reason.MODEL_MISMATCH,
                       f'{used - inliers} of {used} points lie off the bone, and the others fit it '

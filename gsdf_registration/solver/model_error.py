@@ -47,8 +47,8 @@ MIN_CELLS = 12      # twice the degrees of freedom
 LENGTHS = np.array([0.004, 0.008, 0.016, 0.032, 0.064])     # m, equally probable
 # Standard deviations of the local error and of the offset, over the expected one
 SIZES = np.array([0.0, 0.1, 0.16, 0.26, 0.43, 0.7, 1.15, 1.9, 3.1, 5.0])
-# Prior probability that there is no such error, for the pose and for what is stated of it; that of
-# the offset is always the second. From `benchmarks calibration`
+# Prior probability that there is no such error, for the pose and for what is stated of it; in the
+# evidence for a local error, that of the offset is the second. From `benchmarks calibration`
 EXACT, STATED_EXACT = 0.9, 0.5
 MIN_RANK = 1e-9     # smallest eigenvalue of a scaled information matrix that constrains all motions
 FOUND = 0.95        # probability of an error that is reported
@@ -254,15 +254,19 @@ def _inverse(A: Array) -> Array:
 
 
 def _shrunk(value: float, variance: float, expected: float) -> tuple[float, float]:
-    """Return mean and variance of the offset, m, from a measured ``value`` of this variance."""
+    """
+    Return an estimate of the offset, m, from a measured ``value`` of this variance.
+
+    With it the mean square of its error, m^2, which is stated.
+    """
     squares = (expected * SIZES)**2
     total = squares + variance
     exponent = -0.5 * value**2 / total
-    p = STATED_PRIOR * np.exp(exponent - exponent.max()) / np.sqrt(total)
-    p /= p.sum()
+    likelihood = np.exp(exponent - exponent.max()) / np.sqrt(total)
     share = squares / total
-    mean = float(p @ share)
-    return mean * value, float(mean * variance + (p @ share**2 - mean**2) * value**2)
+    mean = float(PRIOR @ (likelihood * share) / (PRIOR @ likelihood))
+    stated = STATED_PRIOR * likelihood / (STATED_PRIOR @ likelihood)
+    return mean * value, float(stated @ (share * variance + (share - mean)**2 * value**2))
 
 
 def _group(x: Array, e: Array, J: Array, weight: Array, precision: Array, max_cells: int,
