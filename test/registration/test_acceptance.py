@@ -116,6 +116,22 @@ def test_correlated_residuals_need_clear_inliers(correlation: float, share: floa
     assert (Reason.MODEL_MISMATCH in reasons(candidate, max_pattern=1.55)) == rejected
 
 
+def test_a_local_error_of_the_model_is_limited_by_the_expected_one() -> None:
+    expected = Config().model.surface_error
+    refusal, = rejected_by(with_confidence(accepted(), model_sd=2.01 * expected),
+                           max_model_error=2.0)
+    assert refusal.reason is Reason.MODEL_MISMATCH
+    assert refusal.message.startswith('the bone deviates from its model by 0.5 mm (SD), '
+                                      'model.surface_error is 0.25 mm; check that the model is ')
+    assert reasons(with_confidence(accepted(), model_sd=2.0 * expected), max_model_error=2.0) == []
+
+
+def test_correlated_residuals_are_allowed_if_an_error_of_the_model_explains_them() -> None:
+    correlated = with_inliers(with_confidence(accepted(), residual_correlation=5.0), 360)
+    assert reasons(correlated) == [Reason.MODEL_MISMATCH]
+    assert reasons(with_confidence(correlated, model_sd=Config().model.surface_error)) == []
+
+
 def test_an_alternative_pose_needs_a_gap() -> None:
     refusal, = rejected_by(with_alternative(accepted(), 23.9), min_gap=24.0)
     assert refusal.reason is Reason.AMBIGUOUS

@@ -29,6 +29,7 @@ from gsdf_registration.solver.model_error import (
     ErrorVariances,
     _group,
     _restricted_likelihood,
+    _shrunk,
     error_variances,
 )
 from gsdf_registration.solver.process_matrices import add_matern, factor, gram, tridiagonalize
@@ -118,6 +119,18 @@ def test_estimates_size_and_noise() -> None:
               for points in (measured(seed) for seed in range(8))]
     assert np.median([error.sd for error in errors if error]) == pytest.approx(ERROR, rel=0.4)
     assert np.median([error.noise for error in errors if error]) == pytest.approx(SIGMA, rel=0.1)
+
+
+def test_the_stated_error_of_the_offset_is_its_mean_square() -> None:
+    rng, variance = np.random.default_rng(0), 1e-8
+    offsets = EXPECTED * rng.choice(SIZES, 20_000, p=STATED_PRIOR) * rng.normal(size=20_000)
+    found, stated = zip(*(_shrunk(value, variance, EXPECTED) for value in
+                          offsets + np.sqrt(variance) * rng.normal(size=len(offsets))))
+    squared = (np.array(found) - offsets)**2
+    assert squared.mean() == pytest.approx(np.mean(stated), rel=0.05)
+    # and of small measured offsets, which are mostly noise, as of large ones
+    small = np.array(stated) < np.median(stated)
+    assert squared[small].mean() == pytest.approx(np.array(stated)[small].mean(), rel=0.1)
 
 
 @pytest.mark.parametrize('offset', [-4e-4, 4e-4])
