@@ -24,14 +24,14 @@ OFFSETS = {'model_dilated': -3e-4, 'model_eroded': 3e-4, 'ball_radius_off': 2e-4
 SMOOTH = {f'smooth_{1e3 * sd:g}_{1e3 * length:g}': (sd, length)
           for sd in (3e-4, 5e-4) for length in (0.008, 0.015, 0.03)}
 REAL_MODELS = (*KINDS, 'cartilage', *SMOOTH, *OFFSETS, 'tip_off')
-INACCURATE = 5e-4       # m, SD of the surface of a model from MRI, and of the less accurate SMOOTH
+MRI_ERROR = 5e-4        # m, standard deviation to expect of a model from MRI
 
 
 def settings_of(word: str) -> dict[str, float]:
     """Return what the user of such a probe and model sets, for ``word`` as in `model_of`."""
     settings = {'probe.tip_error': TIP_ERROR if word == 'tip_off' else 0.0}
-    if word == 'mri' or SMOOTH.get(word, (0.0, 0.0))[0] == INACCURATE:
-        settings['model.surface_error'] = INACCURATE
+    if word in SMOOTH or word == 'mri':
+        settings['model.surface_error'] = SMOOTH.get(word, (MRI_ERROR,))[0]
     return settings
 
 

@@ -23,6 +23,7 @@ from benchmarks.protocol.trials import (
     trials,
 )
 from gsdf_registration.common import rigid
+from gsdf_registration.common.config import Config
 from gsdf_registration.common.result import InputError
 from gsdf_registration.simulation.interference import Kind
 
@@ -177,6 +178,17 @@ def test_wrong_and_hard_scenarios() -> None:
     wrong = {name for name, scenario in SCENARIOS.items() if scenario.wrong}
     assert {name.removesuffix('_optical') for name in wrong} == set(IMPOSSIBLE)
     assert {name for name, scenario in SCENARIOS.items() if scenario.hard} == wrong | {*POSSIBLE}
+
+
+@pytest.mark.parametrize('name, settings', [
+    ('clean', {}), ('ball_1', {'probe.tip_radius': 0.001}), ('ct_optical', {}),
+    ('mri', {'model.surface_error': 5e-4}), ('smooth_0.3_8', {'model.surface_error': 3e-4}),
+    ('tip_off', {'probe.tip_error': 5e-4})])
+def test_the_user_sets_what_is_known_of_probe_and_model(name: str,
+                                                        settings: dict[str, float]) -> None:
+    defaults = Config().flat()
+    assert {key: value for key, value in SCENARIOS[name].settings.items()
+            if value != defaults[key]} == settings
 
 
 def test_names_a_bone_without_the_region(hip_bone: Path, tmp_path: Path) -> None:
