@@ -16,6 +16,7 @@ from benchmarks.peers.peer_process import PeerError, PeerProcess
 from benchmarks.protocol.trials import Problem, Trial, make
 from gsdf_registration.common import rigid
 from gsdf_registration.common.downsampling import farthest_point_sample
+from gsdf_registration.common.result import InputError
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.registration.confidence import Confidence
@@ -29,14 +30,24 @@ _running: dict[tuple[str, str], PeerProcess] = {}
 
 
 def run_peer(job: tuple[str, Trial], python: str, models: Path) -> Row:
-    """Return the row of a peer and a trial; a failure is a row of a lost pose."""
+    """
+    Return the row of a peer and a trial; a failure is a row of a lost pose.
+
+    Raises
+    ------
+    InputError
+        If the peer cannot be started, which says nothing about its poses.
+
+    """
     name, trial = job
     problem = make(trial)
     try:
-        if name == 'scikit-surgerycore':
-            row = _from_landmarks(problem, _process(name, problem, python, models))
-        else:
-            row = _from_points(problem, _process(name, problem, python, models))
+        process = _process(name, problem, python, models)
+    except PeerError as error:
+        raise InputError(f'{name} cannot be started: {error}') from None
+    answer = _from_landmarks if name == 'scikit-surgerycore' else _from_points
+    try:
+        row = answer(problem, process)
     except PeerError:
         row = compared(None, rigid.from_rt(np.eye(3), np.full(3, np.inf)), problem)
     return {'case': trial.case.name, 'scenario': trial.scenario.name, 'seed': trial.seed,

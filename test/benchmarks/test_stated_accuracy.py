@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import benchmarks.peers.workers
+from benchmarks.calibration.peers import run_peer
 from benchmarks.calibration.tables import COLUMNS, peer_table
 from benchmarks.calibration.trial import compared
+from benchmarks.peers.catalogue import STATING
 from benchmarks.protocol.cases import Case
 from benchmarks.protocol.scoring import cramer_rao
 from benchmarks.protocol.trials import SCENARIOS, Trial, make
 from gsdf_registration.common import rigid
+from gsdf_registration.common.result import InputError
 
 NOISE = 1e-3
 
@@ -50,3 +54,13 @@ def test_the_table_has_a_line_for_each_scenario_of_each_peer(femur_bone: Path) -
     assert lines[1]['95 % region'] == '100.00%' and lines[1]['lost'] == '0'
     assert lines[3]['95 % region'] == '-' and lines[3]['lost'] == '1'
     assert lines[3]['near true/stated'] == '0.00 / 1.00'
+
+
+def test_a_peer_that_cannot_be_started_is_named(femur_bone: Path, tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = replace(STATING['ICP, Censi'], worker=('accuracy', 'missing'))
+    monkeypatch.setitem(STATING, 'ICP, Censi', missing)
+    case = Case(str(femur_bone), 'condyles')
+    with pytest.raises(InputError, match='^ICP, Censi cannot be started: .*Error: '):
+        run_peer(('ICP, Censi', Trial(case, SCENARIOS['clean'], 0, case.bone)), sys.executable,
+                 tmp_path)
