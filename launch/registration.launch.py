@@ -26,7 +26,7 @@ SHARE = FindPackageShare('gsdf_registration')
 SWITCH = ['true', 'false', 'True', 'False']
 LEVELS = ['debug', 'info', 'warn', 'error', 'fatal']
 # the topics in config/registration.rviz
-SHOWN = ['markers', 'points', 'bone_pose_with_covariance', 'live_pose', 'tip']
+SHOWN = ['markers', 'points', 'live_pose', 'tip']
 # the parameters that arguments override if they are given
 OVERRIDES = {'model': 'model.path', 'session': 'session.path', 'autostart': 'autostart',
              'use_sim_time': 'use_sim_time'}

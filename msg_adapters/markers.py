@@ -88,7 +88,8 @@ def patches(positions: Array, normals: Array, radius: float, labels: Sequence[st
                        colours=np.append(colour, 0.7)),
                 Marker('patch_arrow', k, Shape.ARROW, (0.1 * ARROW, 0.2 * ARROW, 0.3 * ARROW), pose,
                        points=tail, colours=colour),
-                Marker('patch_label', k, Shape.TEXT, (0.0, 0.0, LETTER), label, colours=colour,
+                # RViz takes the width of a space from x, as for letters of 1 m if it is 0
+                Marker('patch_label', k, Shape.TEXT, (LETTER, 0.0, LETTER), label, colours=colour,
                        text=labels[k])]
         else:
             markers += [Marker(name, k) for name in ('patch', 'patch_arrow', 'patch_label')]

@@ -145,6 +145,7 @@ def test_patch_is_a_disc_with_an_arrow_along_the_normal_and_a_label() -> None:
     tail, head = numbers(arrow.points, 'xyz')
     assert tail[2] > 0.01 and head == pytest.approx([0.0, 0.0, 0.0])    # toward the bone
     assert label.text == '1: 0.8 mm' and 0.004 < label.scale.z < 0.02
+    assert label.scale.x == label.scale.z       # RViz: the width of a space
     assert numbers([label.pose.position], 'xyz')[0] @ normal > TRIANGLE[1] @ normal + 0.03
     assert 0.0 < disc.color.a < 1.0 and arrow.color.a == label.color.a == 1.0
     assert numbers([arrow.color], 'rgb')[0] == pytest.approx(GREEN)
