@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
+from waiting import until
 
 from gsdf_registration.common.config import Config
 from gsdf_registration.node.inputs import Inputs
@@ -73,6 +74,7 @@ def test_processes_all_waiting_messages_in_one_callback(context: Context) -> Non
 BURST = 6000    # more than the queue holds
 SENDER = f"""
 import itertools
+import sys
 import time
 import rclpy
 from geometry_msgs.msg import PointStamped
@@ -81,6 +83,7 @@ rclpy.init()
 publisher = rclpy.create_node('tracker').create_publisher(PointStamped, '/delayed', 100)
 while not publisher.get_subscription_count():
     pass
+sys.stdin.readline()
 for stamp in itertools.count():
     publisher.publish(ros.point_msg([1e-3 * (stamp % 9), 0.0, 0.0], 'tracker',
                                     ros.seconds_to_stamp(stamp)))
@@ -99,8 +102,15 @@ def test_counts_the_messages_that_did_not_fit_into_the_queue(context: Context) -
     inputs.activate()
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    with subprocess.Popen([sys.executable, '-c', SENDER], stdout=subprocess.PIPE) as sender:
-        assert sender.stdout is not None and sender.stdout.readline() == b'sent\n'
+    subscription, = (each for each in node.subscriptions if each.topic_name == '/delayed')
+    with subprocess.Popen([sys.executable, '-c', SENDER], stdin=subprocess.PIPE,
+                          stdout=subprocess.PIPE) as sender:
+        # what is sent before this side has discovered the sender does not count as lost
+        until(lambda: subscription.get_publisher_count() > 0)
+        assert sender.stdin is not None and sender.stdout is not None
+        sender.stdin.write(b'\n')
+        sender.stdin.flush()
+        assert sender.stdout.readline() == b'sent\n'
         lost = 0
         while session.points().stamps[-1:].sum() <= BURST:
             executor.spin_once(timeout_sec=0.1)
