@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.execution.result_table import Row
 from benchmarks.protocol.cases import Case, bone, region_patch
 from benchmarks.protocol.trials import POINTS
+from benchmarks.trust.trial import LENIENT
 from gsdf_registration.common import rigid
 from gsdf_registration.common.config import Config
 from gsdf_registration.common.landmarks import Landmarks
@@ -27,10 +28,9 @@ REGION = 'condyles'
 NOISE = 5e-4            # m, of a point per axis
 ERROR_LENGTH = 0.015    # m, over which the error of the model is correlated
 GUESS = (0.04, 0.002)   # rad, m, standard deviation per axis of the initial guess
-# settings that accept every pose, and a short search: the question is how accurate the pose is
-ACCEPT_ALL = {'limits.max_error': 1.0, 'limits.min_gap': 0.0, 'limits.min_inliers': 0.0,
-              'limits.max_pattern': 1000.0, 'limits.max_model_error': 1000.0,
-              'search.rotations': 10, 'search.places': 5, 'search.parts': 0, 'search.threads': 1}
+# accept every pose, and search briefly: the question is how accurate the pose is
+SETTINGS = {**LENIENT, 'search.rotations': 10, 'search.places': 5, 'search.parts': 0,
+            'search.threads': 1}
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def run_trial(trial: HipTrial, config: Config) -> Row:
     middle = patch.centre
     guess = T @ moved(np.concatenate([GUESS[0] * rng.normal(size=3),
                                       GUESS[1] * rng.normal(size=3)]), middle)
-    lenient = config.replaced(ACCEPT_ALL)
+    lenient = config.replaced(SETTINGS)
     alone, fused = (register(recording.positions, field, lenient, landmarks=landmarks,
                              T_tracker_bone=guess) for landmarks in (None, hip))
     surface = field.surface_points.astype(np.float64)

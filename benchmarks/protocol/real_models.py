@@ -24,15 +24,9 @@ OFFSETS = {'model_dilated': -3e-4, 'model_eroded': 3e-4, 'ball_radius_off': 2e-4
 SMOOTH = {f'smooth_{1e3 * sd:g}_{1e3 * length:g}': (sd, length)
           for sd in (3e-4, 5e-4) for length in (0.008, 0.015, 0.03)}
 REAL_MODELS = (*KINDS, 'cartilage', *SMOOTH, *OFFSETS, 'tip_off')
-MRI_ERROR = 5e-4        # m, standard deviation to expect of a model from MRI
-
-
-def settings_of(word: str) -> dict[str, float]:
-    """Return what the user of such a probe and model sets, for ``word`` as in `model_of`."""
-    settings = {'probe.tip_error': TIP_ERROR if word == 'tip_off' else 0.0}
-    if word in SMOOTH or word == 'mri':
-        settings['model.surface_error'] = SMOOTH.get(word, (MRI_ERROR,))[0]
-    return settings
+# What their users set beside the defaults: they know how accurate probe and model are
+SETTINGS = {'mri': {'model.surface_error': 5e-4}, 'tip_off': {'probe.tip_error': TIP_ERROR},
+            **{word: {'model.surface_error': sd} for word, (sd, _) in SMOOTH.items()}}
 
 
 def model_of(path: str, word: str, seed: int) -> Field:

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.protocol import hard_cases, touching
 from benchmarks.protocol.cases import KIND, Case, between_scans, bone, region_patch, surface
-from benchmarks.protocol.real_models import REAL_MODELS, model_of, settings_of, with_deviation
+from benchmarks.protocol.real_models import REAL_MODELS, SETTINGS, model_of, with_deviation
 from gsdf_registration.common.rigid import Array
 from gsdf_registration.field import Field
 from gsdf_registration.simulation.ball_tip import with_ball_tip
@@ -71,7 +71,8 @@ class Scenario:
     @property
     def settings(self) -> dict[str, float]:
         """What the user of such a probe and model sets."""
-        return {'probe.tip_radius': self.tip_radius, **settings_of(self.real_model)}
+        return {'probe.tip_radius': self.tip_radius, 'probe.tip_error': 0.0,
+                **SETTINGS.get(self.real_model, {})}
 
     def suits(self, region: str) -> bool:
         """Return whether the scenario is possible in a region; shafts count for one region only."""
