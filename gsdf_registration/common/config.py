@@ -209,7 +209,7 @@ class LimitsConfig:
                                  '', 0.0, 1.0)
     max_pattern: float = setting(
         1.55, 'maximum ratio of the correlation of residuals along the strokes to that of '
-        'independent noise', '', 1.0, 1000.0)
+        'independent noise, if no local error of the model explains it', '', 1.0, 1000.0)
     max_model_error: float = setting(
         2.2, 'maximum ratio of the local error of the model, as the residuals show it, to '
         'model.surface_error; a larger one is the difference to another bone', '', 1.0, 1000.0)
